@@ -1,0 +1,92 @@
+# Everything runs in .venv, which is made when needed and kept.  `make help` lists the targets.
+# Paths are relative throughout, so that the checkout may lie anywhere, a path with spaces included.
+
+PYTHON ?= python3
+JOBS ?= 2
+ARGS ?=
+
+VENV := .venv
+PY := $(VENV)/bin/python
+PIP_INSTALL := $(PY) -m pip install --no-compile --disable-pip-version-check -c constraints.txt
+
+# Each test process gets one thread: $(JOBS) of them share the machine.
+TEST_ENV := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg \
+    PATH="$$PWD/$(VENV)/bin:$$PATH"
+PYTEST := $(TEST_ENV) $(PY) -m pytest -n $(JOBS) --dist worksteal
+
+.PHONY: help ride test test-long check format bench env dev clean distclean
+.DEFAULT_GOAL := help
+
+help:  ## this list
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | \
+	while IFS='|' read -r name text; do printf '%-18s %s\n' "$$name" "$$text"; done
+	@echo '  ARGS="..." adds arguments: make ride ARGS="seed=7 seeds=16", make test ARGS="-k bicycle"'
+	@echo '  PYTHON=python3.12 picks the interpreter of a new environment'
+
+ride: $(VENV)/.core  ## learn to ride a bicycle (the main job)
+	$(VENV)/bin/edtorch-train experiment=bicycle $(ARGS)
+
+test: $(VENV)/.dev  ## all tests but the long ones
+	$(PYTEST) $(ARGS)
+
+test-long: $(VENV)/.dev  ## the tests against the committed results in runs/reference
+	$(PYTEST) -m reference $(ARGS)
+
+check: $(VENV)/.dev  ## format, lint, types
+	$(PY) -m ruff format --check .
+	$(PY) -m ruff check .
+	$(PY) -m pyright
+
+format: $(VENV)/.dev  ## put the sources into the format that check wants
+	$(PY) -m ruff check --fix-only --quiet .
+	$(PY) -m ruff format .
+
+bench: $(VENV)/.dev  ## speed, one file a question
+	@ls benchmarks/*.py >/dev/null 2>&1 || echo "benchmarks/ holds no benchmark yet"
+	@set -e; for file in benchmarks/[!_]*.py; do \
+	    [ -f "$$file" ] || continue; \
+	    echo "== $$file"; $(PY) "$$file" $(ARGS); \
+	done
+
+env: $(VENV)/.core  ## the environment, with edtorch in it
+dev: $(VENV)/.dev  ## the same with the tools of a developer
+
+clean:  ## remove caches and build artefacts; runs and .venv stay
+	rm -rf build dist ./*.egg-info .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
+
+distclean: clean  ## the same and .venv
+	rm -rf $(VENV)
+
+# The environment.  $(VENV)/.place holds the folder it was made in.  One that was only half made, has
+# lost its interpreter, or came here from another folder is made anew; a sound one is kept.
+
+SOUND := $(shell $(PY) -c 'import pip, sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && \
+    [ "$$(cat $(VENV)/.place 2>/dev/null || pwd -P)" = "$$(pwd -P)" ] && echo yes)
+
+ifeq ($(SOUND),yes)
+$(VENV)/.place:
+	@pwd -P > $@
+else
+.PHONY: anew
+$(VENV)/.place: anew
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	    is=$$("$(PYTHON)" -c 'import platform; print(platform.python_version())' 2>/dev/null || \
+	        echo missing); \
+	    echo "edtorch needs Python 3.11 or later, but $(PYTHON) is $$is;" \
+	        "name another one: make PYTHON=python3.12 ..." >&2; exit 1; }
+	rm -rf $(VENV)
+	"$(PYTHON)" -m venv $(VENV)
+	@pwd -P > $@
+endif
+
+# A stamp is written after pip has succeeded, so that a second call installs nothing.
+$(VENV)/.core: pyproject.toml constraints.txt $(VENV)/.place
+	@rm -f $@
+	$(PIP_INSTALL) -e .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.core
+	@rm -f $@
+	$(PIP_INSTALL) -e ".[dev]"
+	@touch $@

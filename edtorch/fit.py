@@ -1,0 +1,163 @@
+"""Rules for "f(x) <- y" (Fig. 1, steps 1 and 2): adjust W so that W phi comes closer to y.
+
+Each rule is a frozen dataclass with ``initial`` (its memory, per learner) and ``update``, a pure
+function of the weights ``[*batch, n, k]``, that memory, the regressor phi ``[*batch, k]`` and the
+target y ``[*batch, n]``.  ``unit`` is what a rate is multiplied with: the tick in seconds for models of
+the derivative, 1 for models of the next state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from edtorch.models import matvec
+from edtorch.types import Parameters
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Result of one update: weights, the rule's memory, the residual y - W phi before the update."""
+
+    weight: Tensor
+    memory: Parameters
+    residual: Tensor
+
+
+class Fit(Protocol):
+    """A rule for fitting weights that act linearly on features."""
+
+    def initial(self, weight: Tensor) -> Parameters:
+        """The rule's memory for weights ``[*batch, n, k]``."""
+        ...
+
+    def update(
+        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+    ) -> Fitted:
+        """One step towards W phi = y."""
+        ...
+
+
+def _outer(a: Tensor, b: Tensor) -> Tensor:
+    return a.unsqueeze(-1) * b.unsqueeze(-2)
+
+
+def _check_rate(rate: float) -> None:
+    if not rate >= 0:
+        raise ValueError(f"rate={rate}: expected a number >= 0")
+
+
+@dataclass(frozen=True)
+class AbsoluteError:
+    """Gradient of |y - W phi| per component (section 4): W += rate unit sign(y - W phi) phi'.
+
+    Converges to the median, and so shrugs off outliers.  rate: per second or per step.
+    """
+
+    rate: float
+
+    def __post_init__(self) -> None:
+        _check_rate(self.rate)
+
+    def initial(self, weight: Tensor) -> Parameters:
+        """No memory."""
+        return {}
+
+    def update(
+        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+    ) -> Fitted:
+        """One subgradient step."""
+        residual = y - matvec(weight, phi)
+        step = _outer(residual.sign(), self.rate * unit * phi)
+        return Fitted(weight + step, memory, residual)
+
+
+@dataclass(frozen=True)
+class SquaredError:
+    """Gradient of 1/2 (y - W phi)^2: W += rate unit (y - W phi) phi'.  Converges to the mean."""
+
+    rate: float
+
+    def __post_init__(self) -> None:
+        _check_rate(self.rate)
+
+    def initial(self, weight: Tensor) -> Parameters:
+        """No memory."""
+        return {}
+
+    def update(
+        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+    ) -> Fitted:
+        """One gradient step."""
+        residual = y - matvec(weight, phi)
+        return Fitted(weight + _outer(residual, self.rate * unit * phi), memory, residual)
+
+
+@dataclass(frozen=True)
+class NormalisedSquaredError:
+    """Squared error with the step divided by floor + |phi|^2 (normalised least mean squares).
+
+    Stable for rate unit in (0, 2), whatever the size of the features.
+    """
+
+    rate: float
+    floor: float = 1e-3
+
+    def __post_init__(self) -> None:
+        _check_rate(self.rate)
+        if not self.floor > 0:
+            raise ValueError(f"floor={self.floor}: expected a number > 0")
+
+    def initial(self, weight: Tensor) -> Parameters:
+        """No memory."""
+        return {}
+
+    def update(
+        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+    ) -> Fitted:
+        """One normalised gradient step."""
+        residual = y - matvec(weight, phi)
+        size = self.floor + phi.square().sum(-1, keepdim=True)
+        return Fitted(weight + _outer(residual, self.rate * unit * phi / size), memory, residual)
+
+
+@dataclass(frozen=True)
+class RecursiveLeastSquares:
+    """Least squares of all data so far, one sample at a time (Ljung, "System Identification", ch. 11).
+
+    P starts at ``prior`` I (the weights' prior covariance over the noise variance); ``forgetting``
+    lambda in (0, 1] weighs a sample of k steps ago with lambda^k.  With lambda = 1 the result equals
+    ridge regression with the penalty 1 / prior.
+    """
+
+    prior: float = 1000.0
+    forgetting: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.prior > 0:
+            raise ValueError(f"prior={self.prior}: expected a number > 0")
+        if not 0 < self.forgetting <= 1:
+            raise ValueError(f"forgetting={self.forgetting}: expected a number in (0, 1]")
+
+    def initial(self, weight: Tensor) -> Parameters:
+        """P ``[*batch, k, k]``."""
+        k = weight.shape[-1]
+        eye = torch.eye(k, dtype=weight.dtype, device=weight.device)
+        return {"P": (self.prior * eye).expand(*weight.shape[:-2], k, k).clone()}
+
+    def update(
+        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+    ) -> Fitted:
+        """Gain g = P phi / (lambda + phi' P phi); W += (y - W phi) g'; P = (P - g phi' P) / lambda."""
+        P = memory["P"]
+        residual = y - matvec(weight, phi)
+        projected = matvec(P, phi)
+        scale = self.forgetting + (phi * projected).sum(-1, keepdim=True)
+        gain = projected / scale
+        P = (P - _outer(projected, gain)) / self.forgetting
+        # Rounding makes P asymmetric, and the asymmetry would grow: it feeds on itself.
+        P = 0.5 * (P + P.transpose(-1, -2))
+        return Fitted(weight + _outer(residual, gain), {"P": P}, residual)

@@ -1,0 +1,165 @@
+"""One tick of learning as a pure function (Fig. 1).
+
+``Learner.step(state, transition) -> (state, metrics)`` does no I/O, reads no globals and never asks a
+tensor for its number; trouble comes back as flags.  That one property gives populations, exact
+resumption and tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import torch
+from torch import Tensor
+from torch.func import functional_call
+
+from edtorch.fit import Fit
+from edtorch.models import DerivativeModel, NextStateModel
+from edtorch.policies import LinearPolicy, explore
+from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
+from edtorch.unroll import ValuePath
+from edtorch.update import Step, gradient_norm
+
+
+class Check(IntEnum):
+    """The places where a tick can break, in order: rows of ``Metrics.finite``.
+
+    Where one does, the update concerned is skipped and the learner keeps what it knew.
+    """
+
+    TRANSITION = 0
+    """The next state is finite; if not, the simulator broke."""
+    FIT = 1
+    """So is the model after the fit; if not, its rate is too high for these features."""
+    UNROLL = 2
+    """So are value and gradient; if not, the model under this policy explodes over the horizon."""
+
+
+@dataclass(frozen=True)
+class ResidualNoise:
+    """Step 2 of Fig. 1 for a full covariance: nu~ <- e e', an exponential average.
+
+    nu~ += rate unit (e e' - nu~), so that nu~ stays a weighted mean of positive semidefinite
+    matrices.  rate: per second (derivative form) or per step; ``rate unit`` is cut off at 1.
+    """
+
+    rate: float
+
+    def __post_init__(self) -> None:
+        if not self.rate >= 0:
+            raise ValueError(f"rate={self.rate}: expected a number >= 0")
+
+    def update(self, noise: Tensor, squared: Tensor, unit: Tensor) -> Tensor:
+        """nu~ ``[*batch, n, n]`` moved towards ``squared``."""
+        return torch.lerp(noise, squared, (self.rate * unit).clamp(max=1.0))
+
+
+def population(template: torch.nn.Module, size: int) -> Parameters:
+    """The template's parameters, once for each of ``size`` learners."""
+    return {
+        name: p.detach().expand(size, *p.shape).clone() for name, p in template.named_parameters()
+    }
+
+
+def _finite(total: Tensor, *more: Tensor) -> Tensor:
+    """Whether every number of a learner is finite, ``[B]``; tensors ``[B, ...]``."""
+    # A sum is finite only if all of its terms are (or it overflows, which is trouble as well).
+    for tensor in (total, *more):
+        part = tensor.flatten(1).sum(-1) if tensor.ndim > 1 else tensor
+        total = part if tensor is total else total + part
+    return torch.isfinite(total)
+
+
+def _where(mask: Tensor, yes: Parameters, no: Parameters) -> Parameters:
+    """``yes`` where ``mask`` ``[B]``, else ``no``; parameters ``[B, ...]`` of equal names."""
+    return {name: select(mask, yes[name], no[name]) for name in no}
+
+
+@dataclass(frozen=True)
+class Learner:
+    """A population of learners with one configuration; what they know is in a ``LearnerState``.
+
+    exploration: standard deviation of the Gaussian added to the policy's action, scaled units;
+    noise: rule for nu~, None where the transform does not use it.
+    """
+
+    model: DerivativeModel | NextStateModel
+    policy: LinearPolicy
+    fit: Fit
+    noise: ResidualNoise | None
+    value: ValuePath
+    step_rule: Step
+    exploration: float
+
+    def __post_init__(self) -> None:
+        if not self.exploration >= 0:
+            raise ValueError(f"exploration={self.exploration}: expected a number >= 0")
+
+    def initial(self, seeds: Sequence[int]) -> LearnerState:
+        """Learners that know nothing yet, one per seed."""
+        size, n = len(seeds), self.model.states
+        weight = self.model.weight
+        model = population(self.model, size)
+        policy = population(self.policy, size)
+        return LearnerState(
+            model=model,
+            policy=policy,
+            fit=self.fit.initial(model["weight"]),
+            noise=torch.zeros(size, n, n, dtype=weight.dtype, device=weight.device),
+            step=self.step_rule.initial(policy),
+            seed=torch.tensor(list(seeds), dtype=torch.int64),
+            tick=torch.zeros(size, dtype=torch.int64),
+            sound_ticks=torch.zeros(size, dtype=torch.int64),
+        )
+
+    def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:
+        """pi(s) plus exploration, ``[B, m]`` in scaled units; normal ``[B, m]`` standard normal."""
+        action = functional_call(self.policy, state.policy, (observation,))
+        return explore(action, normal, self.exploration)
+
+    def step(self, state: LearnerState, transition: Transition) -> tuple[LearnerState, Metrics]:
+        """Steps 1-7 of Fig. 1 after one transition of each learner.
+
+        Learners whose transition is not ``valid`` are left as they are.  An update that would not be
+        finite is skipped: see ``Check``.
+        """
+        unit = self.model.time_unit(transition.dt)
+        sound = _finite(transition.next_state)
+
+        # 1, 2: the model and its noise.
+        target = self.model.target(transition)
+        phi = self.model.regressor(transition)
+        old = state.model["weight"]
+        fitted = self.fit.update(old, state.fit, phi, target, unit)
+        fit_ok = _finite(fitted.weight, *fitted.memory.values())
+        learn = transition.valid & fit_ok
+        model = state.model | {"weight": select(learn, fitted.weight, old)}
+        noise = state.noise
+        if self.noise is not None:
+            squared = self.model.residual_noise(fitted.residual, transition.dt)
+            noise = select(learn, self.noise.update(noise, squared, unit), noise)
+
+        # 3-6: value and gradient from where the transition ended; 7: the policy.
+        here = self.value(model, state.policy, noise, transition.next_state)
+        size = gradient_norm(here.gradient)
+        value_ok = torch.isfinite(here.value + size)
+        policy, step = self.step_rule(state.policy, here.gradient, state.step, unit)
+        climb = transition.valid & value_ok
+
+        # The count of sound ticks stands still from the first tick that was not.
+        unbroken = value_ok & fit_ok & (state.sound_ticks == state.tick) & transition.valid
+        learned = replace(
+            state,
+            model=model,
+            policy=_where(climb, policy, state.policy),
+            fit=_where(learn, fitted.memory, state.fit),
+            noise=noise,
+            step=_where(climb, step, state.step),
+            tick=state.tick + transition.valid,
+            sound_ticks=state.sound_ticks + unbroken,
+        )
+        error = fitted.residual.abs().mean(-1)
+        finite = torch.stack([sound, fit_ok, value_ok])
+        return learned, Metrics(here.value, size, error, finite)

@@ -1,0 +1,184 @@
+"""Where a run's progress goes: CSV, TensorBoard and the console behind one small protocol."""
+
+from __future__ import annotations
+
+import csv
+import math
+import statistics
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+from torch.utils.tensorboard.summary import hparams
+from torch.utils.tensorboard.writer import SummaryWriter
+
+from edtorch.interact import Episode, Snapshot
+
+
+class Sink(Protocol):
+    """Takes what a run reports."""
+
+    def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
+        """The population now, and the episodes that ended since the last call."""
+        ...
+
+    def close(self) -> None:
+        """Nothing more will come."""
+        ...
+
+
+def finite(values: Sequence[float]) -> list[float]:
+    """The values that are numbers."""
+    return [v for v in values if math.isfinite(v)]
+
+
+def median(values: Sequence[float]) -> float:
+    """Median of the values that are numbers; NaN if none is."""
+    numbers = finite(values)
+    return statistics.median(numbers) if numbers else math.nan
+
+
+class CsvSink:
+    """``metrics.csv``: a row per learner and snapshot; ``episodes.csv``: a row per episode."""
+
+    METRICS = (
+        "active",
+        "episodes",
+        "falls",
+        "rides",
+        "episode_seconds",
+        "value",
+        "gradient",
+        "error",
+        "policy_norm",
+    )
+
+    def __init__(self, folder: Path) -> None:
+        self._metrics_file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
+        self._episodes_file = (folder / "episodes.csv").open("w", newline="", encoding="utf-8")
+        self._metrics = csv.writer(self._metrics_file)
+        self._episodes = csv.writer(self._episodes_file)
+        self._metrics.writerow(("seconds", "seed", *self.METRICS))
+        self._episodes.writerow(("seed", "episode", "start_s", "seconds", "outcome"))
+
+    def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
+        """Append the rows."""
+        columns = [getattr(snapshot, name) for name in self.METRICS]
+        for seed, *row in zip(snapshot.seeds, *columns, strict=True):
+            self._metrics.writerow((f"{snapshot.seconds:g}", seed, *(_plain(v) for v in row)))
+        for e in episodes:
+            self._episodes.writerow(
+                (
+                    snapshot.seeds[e.row],
+                    e.number,
+                    f"{e.start:.6g}",
+                    f"{e.seconds:.6g}",
+                    e.outcome.name.lower(),
+                )
+            )
+        self._metrics_file.flush()
+        self._episodes_file.flush()
+
+    def close(self) -> None:
+        """Close the files."""
+        self._metrics_file.close()
+        self._episodes_file.close()
+
+
+def _plain(value: float | bool) -> str | int:
+    if isinstance(value, float):
+        return f"{value:.9g}" if math.isfinite(value) else ""
+    return int(value)
+
+
+class TensorBoardSink:
+    """Scalars by simulated seconds, over the population: median, and extremes where they tell."""
+
+    def __init__(self, folder: Path, config_text: str) -> None:
+        self.writer = SummaryWriter(str(folder))
+        self.writer.add_text("config", f"```yaml\n{config_text}\n```")
+
+    def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
+        """Append the scalars."""
+        step = round(snapshot.seconds)
+        scalars: dict[str, float] = {
+            "learning/value": median(snapshot.value),
+            "learning/gradient": median(snapshot.gradient),
+            "learning/model_error": median(snapshot.error),
+            "learning/policy_norm": median(snapshot.policy_norm),
+            "population/active": float(sum(snapshot.active)),
+        }
+        for name in ("falls", "rides"):
+            counts = [float(v) for v in getattr(snapshot, name)]
+            scalars |= {
+                f"{name}/median": median(counts),
+                f"{name}/min": min(counts),
+                f"{name}/max": max(counts),
+            }
+        if episodes:
+            lengths = [e.seconds for e in episodes]
+            scalars |= {
+                "episodes/seconds_median": median(lengths),
+                "episodes/seconds_max": max(lengths),
+            }
+        for name, value in scalars.items():
+            if math.isfinite(value):
+                self.writer.add_scalar(name, value, step)
+
+    def hparams(self, settings: dict[str, str | float | bool], results: dict[str, float]) -> None:
+        """The settings beside the results, in this run's own event file."""
+        writer = self.writer.file_writer
+        if writer is None:
+            raise ValueError("the TensorBoard sink is closed")
+        for summary in hparams(settings, results):
+            writer.add_summary(summary)
+        for name, value in results.items():
+            self.writer.add_scalar(name, value)
+
+    def close(self) -> None:
+        """Flush and close."""
+        self.writer.close()
+
+
+class ConsoleSink:
+    """One live line on a terminal; elsewhere a line every ``quiet`` wall seconds."""
+
+    def __init__(self, console: Console, quiet: float = 10.0) -> None:
+        self._console = console
+        self._quiet = quiet
+        self._began = self._last_printed = time.monotonic()
+        self._last_seconds, self._last_time = 0.0, self._began
+        self._live: Live | None = None
+        if console.is_terminal:
+            self._live = Live(console=console, auto_refresh=False, transient=True)
+            self._live.start()
+
+    def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
+        """Show the population."""
+        now = time.monotonic()
+        speed = (snapshot.seconds - self._last_seconds) / max(now - self._last_time, 1e-9)
+        self._last_seconds, self._last_time = snapshot.seconds, now
+        line = Text(
+            f"{snapshot.seconds:7.0f} s simulated | falls {_spread(snapshot.falls)} | "
+            f"rides {_spread(snapshot.rides)} | value {median(snapshot.value):9.3g} | "
+            f"{sum(snapshot.active)} of {len(snapshot.seeds)} learning | "
+            f"{speed:.0f} s simulated per s"
+        )
+        if self._live is not None:
+            self._live.update(line, refresh=True)
+        elif now - self._last_printed >= self._quiet:
+            self._last_printed = now
+            self._console.print(line)
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+        if self._live is not None:
+            self._live.stop()
+
+
+def _spread(counts: Sequence[int]) -> str:
+    return f"{median(counts):g} [{min(counts)}, {max(counts)}]"

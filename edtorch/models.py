@@ -1,0 +1,136 @@
+"""Models mu~ of the next state, linear in features, in the paper's two forms.
+
+``NextStateModel``: s' = W phi(s, a) (Fig. 1).  ``DerivativeModel``: ds/dt = W phi(s, a), integrated by
+an Euler step of any length (section 4).  Both are fitted by a rule of ``edtorch.fit`` to pairs
+(regressor phi, target y) that they make of transitions.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from edtorch.features import FeatureMap, Identity
+from edtorch.types import Transition
+
+
+def matvec(matrix: Tensor, vector: Tensor) -> Tensor:
+    """``[*batch, n, k]`` times ``[*batch, k]`` -> ``[*batch, n]``."""
+    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+
+
+class LinearDynamics(NamedTuple):
+    """s' = state s + action a: state ``[*batch, n, n]``, action ``[*batch, n, m]``."""
+
+    state: Tensor
+    action: Tensor
+
+
+class LinearModel(nn.Module):
+    """W phi(s, a), with ``weight`` W ``[n, k]`` that starts at zero.
+
+    states n, actions m; features: a map of n + m inputs (the state, then the action);
+    period ``[n]``: that of the components that are angles, 0 elsewhere, in scaled units.  The module
+    is a template: a learner calls it with parameters ``[B, n, k]`` of a whole population.
+    """
+
+    period: Tensor
+    turns_per_unit: Tensor
+
+    def __init__(self, states: int, actions: int, features: FeatureMap, period: Tensor) -> None:
+        super().__init__()
+        if features.inputs != states + actions:
+            raise ValueError(
+                f"the model's feature map takes {features.inputs} inputs, expected "
+                f"{states} states + {actions} actions = {states + actions}"
+            )
+        if period.shape != (states,):
+            raise ValueError(f"period has shape {tuple(period.shape)}, expected ({states},)")
+        self.states = states
+        self.actions = actions
+        self.features = features
+        self.weight = nn.Parameter(torch.zeros(states, features.outputs, dtype=period.dtype))
+        self.register_buffer("period", period, persistent=False)
+        circular = period > 0
+        per_unit = torch.where(circular, 1 / torch.where(circular, period, 1.0), 0.0)
+        self.register_buffer("turns_per_unit", per_unit, persistent=False)
+
+    def regressor(self, transition: Transition) -> Tensor:
+        """phi(s, a) of a transition, ``[*batch, k]``."""
+        return self.features(torch.cat([transition.state, transition.action], dim=-1))
+
+    def output(self, state: Tensor, action: Tensor) -> Tensor:
+        """W phi(s, a), ``[*batch, n]``."""
+        return matvec(self.weight, self.features(torch.cat([state, action], dim=-1)))
+
+    def displacement(self, transition: Transition) -> Tensor:
+        """s' - s, ``[*batch, n]``, the short way round the circle where a component is an angle."""
+        difference = transition.next_state - transition.state
+        return difference - self.period * torch.round(difference * self.turns_per_unit)
+
+    def _linear_parts(self, weight: Tensor) -> LinearDynamics | None:
+        if not isinstance(self.features, Identity):
+            return None
+        return LinearDynamics(weight[..., : self.states], weight[..., self.states :])
+
+
+class DerivativeModel(LinearModel):
+    """ds/dt = W phi(s, a) (section 4); rates and noise are per second."""
+
+    def time_unit(self, dt: Tensor) -> Tensor:
+        """What a rate of the configuration is multiplied with for one update: the tick's seconds."""
+        return dt
+
+    def target(self, transition: Transition) -> Tensor:
+        """(s' - s) / dt, ``[*batch, n]`` per second."""
+        return self.displacement(transition) / transition.dt
+
+    def forward(self, state: Tensor, action: Tensor, dt: float) -> Tensor:
+        """mu~: one Euler step of ``dt`` seconds, s + dt W phi(s, a), ``[*batch, n]``."""
+        return state + dt * self.output(state, action)
+
+    def noise_over(self, noise: Tensor, dt: float) -> Tensor:
+        """Covariance that ``noise`` (per second) adds in ``dt`` seconds."""
+        return noise * dt
+
+    def residual_noise(self, residual: Tensor, dt: Tensor) -> Tensor:
+        """Step 2 of Fig. 1: e e' dt, the increments' squared error per second, ``[*batch, n, n]``."""
+        return residual.unsqueeze(-1) * residual.unsqueeze(-2) * dt
+
+    def linear_dynamics(self, weight: Tensor, dt: float) -> LinearDynamics | None:
+        """I + dt W_s and dt W_a where the features are the variables themselves, else None."""
+        parts = self._linear_parts(weight)
+        if parts is None:
+            return None
+        identity = torch.eye(self.states, dtype=weight.dtype, device=weight.device)
+        return LinearDynamics(identity + dt * parts.state, dt * parts.action)
+
+
+class NextStateModel(LinearModel):
+    """s' = W phi(s, a) (Fig. 1); rates and noise are per step, and a step of the unroll is a tick."""
+
+    def time_unit(self, dt: Tensor) -> Tensor:
+        """What a rate of the configuration is multiplied with for one update: 1."""
+        return torch.ones_like(dt)
+
+    def target(self, transition: Transition) -> Tensor:
+        """s', ``[*batch, n]``, counted on from s where a component is an angle."""
+        return transition.state + self.displacement(transition)
+
+    def forward(self, state: Tensor, action: Tensor, dt: float) -> Tensor:
+        """mu~: the next state, W phi(s, a), ``[*batch, n]``; ``dt`` does not enter."""
+        return self.output(state, action)
+
+    def noise_over(self, noise: Tensor, dt: float) -> Tensor:
+        """Covariance that ``noise`` (per step) adds in one step."""
+        return noise
+
+    def residual_noise(self, residual: Tensor, dt: Tensor) -> Tensor:
+        """Step 2 of Fig. 1: (s' - mu~)(s' - mu~)', ``[*batch, n, n]``."""
+        return residual.unsqueeze(-1) * residual.unsqueeze(-2)
+
+    def linear_dynamics(self, weight: Tensor, dt: float) -> LinearDynamics | None:
+        """W_s and W_a where the features are the variables themselves, else None."""
+        return self._linear_parts(weight)

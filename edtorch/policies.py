@@ -1,0 +1,52 @@
+"""Policies pi(s), and the noise added to them for exploration."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from edtorch.features import FeatureMap, Identity
+from edtorch.models import matvec
+
+
+class LinearPolicy(nn.Module):
+    """pi(s) = theta . phi(s) (section 4), with ``weight`` theta ``[m, k]`` that starts at zero.
+
+    states n, actions m; features: a map of n inputs.  The module is a template, as ``LinearModel``.
+    """
+
+    def __init__(
+        self, states: int, actions: int, features: FeatureMap, dtype: torch.dtype = torch.float64
+    ) -> None:
+        super().__init__()
+        if features.inputs != states:
+            raise ValueError(
+                f"the policy's feature map takes {features.inputs} inputs, expected {states} states"
+            )
+        self.features = features
+        self.weight = nn.Parameter(torch.zeros(actions, features.outputs, dtype=dtype))
+
+    def forward(self, state: Tensor) -> Tensor:
+        """``[*batch, n] -> [*batch, m]``."""
+        return matvec(self.weight, self.features(state))
+
+    def linear_gain(self, weight: Tensor) -> Tensor | None:
+        """theta ``[*batch, m, n]`` where weights ``[*batch, m, k]`` mean pi(s) = theta s, else None."""
+        return weight if isinstance(self.features, Identity) else None
+
+
+class SquashedPolicy(LinearPolicy):
+    """pi(s) = tanh(theta . phi(s)): actions bounded by their scale, smooth at the bound."""
+
+    def forward(self, state: Tensor) -> Tensor:
+        """``[*batch, n] -> [*batch, m]`` in (-1, 1)."""
+        return torch.tanh(super().forward(state))
+
+    def linear_gain(self, weight: Tensor) -> Tensor | None:
+        """None: never linear."""
+        return None
+
+
+def explore(action: Tensor, normal: Tensor, deviation: float) -> Tensor:
+    """action + N(0, deviation^2) (section 4), the deviation in scaled units; normal like action."""
+    return action + deviation * normal

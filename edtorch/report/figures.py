@@ -1,0 +1,114 @@
+"""The learning curve of one run: the two graphs of the paper's Figure 2."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from edtorch.checkpoint import write_atomically
+from edtorch.interact import Episode
+from sims.base import Outcome
+
+MARKS = {
+    Outcome.FAILED: ("x", "#b3402a", "fell"),
+    Outcome.TIMED_OUT: ("s", "#c8901c", "rode to the time limit"),
+    Outcome.SUCCEEDED: ("o", "#2a6fb3", "reached the goal"),
+}
+
+
+@dataclass(frozen=True)
+class Ride:
+    """One state component along one episode: seconds ``[T]``, values ``[T]`` in ``unit``."""
+
+    seconds: np.ndarray
+    values: np.ndarray
+    name: str
+    unit: str
+    title: str
+
+
+def learning_curve(
+    episodes: Sequence[Episode], rows: int, ride: Ride | None, title: str
+) -> Figure:
+    """Length of episode against training time, one line a learner; below, one ride.
+
+    The dashed line is the median of the shortest times that the starts of the successful episodes
+    allow, where the sim knows them.
+    """
+    figure = Figure(figsize=(8, 8 if ride is not None else 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(2 if ride is not None else 1, 1, squeeze=False)
+    _lengths(panels[0, 0], episodes, rows)
+    panels[0, 0].set_title(title)
+    if ride is not None:
+        _one_ride(panels[1, 0], ride)
+    return figure
+
+
+def _lengths(axes, episodes: Sequence[Episode], rows: int) -> None:
+    for row in range(rows):
+        own = [e for e in episodes if e.row == row]
+        ends = [e.start + e.seconds for e in own]
+        axes.plot(ends, [e.seconds for e in own], color="#8a94a0", linewidth=0.6, alpha=0.6)
+    for outcome, (marker, colour, label) in MARKS.items():
+        some = [e for e in episodes if e.outcome is outcome]
+        if some:
+            axes.scatter(
+                [e.start + e.seconds for e in some],
+                [e.seconds for e in some],
+                marker=marker,
+                s=16,
+                linewidths=0.9,
+                color=colour,
+                label=f"{label} ({len(some)})",
+                zorder=3,
+            )
+    shortest = [e.measures.get("shortest_time_s", math.nan) for e in episodes]
+    shortest = [
+        s
+        for s, e in zip(shortest, episodes, strict=True)
+        if e.outcome is Outcome.SUCCEEDED and math.isfinite(s)
+    ]
+    if shortest:
+        best = float(np.median(shortest))
+        axes.axhline(best, linestyle="--", color="#333333", linewidth=1)
+        axes.annotate(
+            f"shortest possible, {best:.0f} s",
+            (0.02, best),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 4),
+            textcoords="offset points",
+            fontsize=9,
+        )
+    axes.set_yscale("log")
+    axes.set_xlabel("simulated training time, s")
+    axes.set_ylabel("length of episode, s")
+    axes.grid(alpha=0.25)
+    if episodes:
+        axes.legend(loc="lower right", fontsize=9)
+
+
+def _one_ride(axes, ride: Ride) -> None:
+    degrees = ride.unit == "rad"
+    values = np.degrees(ride.values) if degrees else ride.values
+    axes.plot(ride.seconds, values, color="#2a6fb3", linewidth=1)
+    axes.axhline(0, color="#333333", linewidth=0.8)
+    axes.set_title(ride.title, fontsize=10)
+    axes.set_xlabel("time in the episode, s")
+    axes.set_ylabel(f"{ride.name.replace('_', ' ')}, {'degrees' if degrees else ride.unit}")
+    axes.grid(alpha=0.25)
+
+
+def save_figure(figure: Figure, folder: Path, name: str) -> None:
+    """As ``name.png`` and ``name.svg``."""
+    for kind in ("png", "svg"):
+        write_atomically(
+            folder / f"{name}.{kind}",
+            lambda partial, kind=kind: figure.savefig(partial, format=kind, dpi=130),
+        )

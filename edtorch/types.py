@@ -1,0 +1,118 @@
+"""The few frozen dataclasses that cross the walls between rooms.
+
+Every tensor carries optional leading batch dimensions ``*batch``; a population of learners is one
+such dimension.  All of them are registered as pytrees, so ``torch.func`` and ``tree_map`` see
+through them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar, cast, dataclass_transform
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree as pytree
+
+Parameters = dict[str, Tensor]
+"""Parameters of an ``nn.Module`` by name, each with the population as its leading dimension."""
+
+_T = TypeVar("_T")
+
+
+@dataclass_transform(frozen_default=True)
+def tree_dataclass(cls: type[_T]) -> type[_T]:
+    """Make ``cls`` a frozen dataclass whose fields are the children of a pytree node."""
+    frozen = dataclass(frozen=True)(cls)
+    names = [f.name for f in fields(cast(Any, frozen))]
+    pytree.register_dataclass(frozen, field_names=names)
+    return frozen
+
+
+@tree_dataclass
+class Transition:
+    """What happened in one tick of the simulator (Fig. 1: s_{t-1}, a_{t-1} -> s_t).
+
+    state ``[*batch, n]``, action ``[*batch, m]`` (as applied), next_state ``[*batch, n]``,
+    dt ``[]`` in seconds, valid ``[*batch]`` (bool: false where nothing is to be learned from it).
+    """
+
+    state: Tensor
+    action: Tensor
+    next_state: Tensor
+    dt: Tensor
+    valid: Tensor
+
+
+@tree_dataclass
+class Belief:
+    """Mean ``[*batch, n]`` and covariance ``[*batch, n, n]`` of a state: a state of M' (section 3)."""
+
+    mean: Tensor
+    cov: Tensor
+
+
+@tree_dataclass
+class Trajectory:
+    """An unrolled horizon.
+
+    mean ``[T+1, *batch, n]``, cov ``[T+1, *batch, n, n]``, reward ``[T, *batch]`` (expected reward
+    r~ of steps 1..T, Fig. 1 step 6c), value ``[*batch]`` (their discounted sum, step 6d).
+    """
+
+    mean: Tensor
+    cov: Tensor
+    reward: Tensor
+    value: Tensor
+
+
+@tree_dataclass
+class LearnerState:
+    """Everything that a population of B learners knows; saving it is saving them.
+
+    model, policy: parameters with leading ``[B]``; fit: the estimator's own tensors;
+    noise: nu~ ``[B, n, n]``; step: the policy step rule's own tensors; seed ``[B]`` int64 and
+    tick ``[B]`` int64 (together they are the state of the random stream, see ``edtorch.streams``);
+    sound_ticks ``[B]`` int64: ticks before the first one whose numbers were not all finite.
+    """
+
+    model: Parameters
+    policy: Parameters
+    fit: Parameters
+    noise: Tensor
+    step: Parameters
+    seed: Tensor
+    tick: Tensor
+    sound_ticks: Tensor
+
+
+@tree_dataclass
+class Metrics:
+    """What one learner step reports, each ``[B]`` but for the last.
+
+    value: V~ before the step; gradient: |dV~/dtheta|; error: mean over state components of
+    |target - prediction| before the fit; finite ``[3, B]``: by place, see ``edtorch.learner.Check``.
+    """
+
+    value: Tensor
+    gradient: Tensor
+    error: Tensor
+    finite: Tensor
+
+
+def select(mask: Tensor, yes: Tensor, no: Tensor) -> Tensor:
+    """Rows of ``yes`` where ``mask`` ``[B]``, else of ``no``; both ``[B, ...]``."""
+    return torch.where(mask.view(mask.shape + (1,) * (no.ndim - mask.ndim)), yes, no)
+
+
+__all__ = [
+    "Belief",
+    "LearnerState",
+    "Metrics",
+    "Parameters",
+    "Trajectory",
+    "Transition",
+    "replace",
+    "select",
+    "tree_dataclass",
+]

@@ -1,0 +1,90 @@
+"""Policy steps: theta up the gradient of the value (Fig. 1, step 7; section 4).
+
+``unit`` turns the rate of the configuration into the rate of one update, as in ``edtorch.fit``.
+Gradients and parameters have the population as their leading axis; norms are per learner, over all
+policy parameters together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from edtorch.types import Parameters
+
+
+def gradient_norm(gradient: Parameters) -> Tensor:
+    """|dV/dtheta| of each learner, ``[B]``."""
+    squares = [g.flatten(1).square().sum(-1) for g in gradient.values()]
+    return torch.stack(squares).sum(0).sqrt()
+
+
+class Step(Protocol):
+    """A rule that moves the policy; it may keep a memory per learner."""
+
+    def initial(self, policy: Parameters) -> Parameters:
+        """The rule's memory."""
+        ...
+
+    def __call__(
+        self, policy: Parameters, gradient: Parameters, memory: Parameters, unit: Tensor
+    ) -> tuple[Parameters, Parameters]:
+        """The moved parameters and the new memory."""
+        ...
+
+
+def _ascend(policy: Parameters, gradient: Parameters, rate: Tensor) -> Parameters:
+    return {
+        name: theta + rate.reshape(rate.shape + (1,) * (theta.ndim - rate.ndim)) * gradient[name]
+        for name, theta in policy.items()
+    }
+
+
+@dataclass(frozen=True)
+class SaturatedStep:
+    """theta += alpha unit g / (beta + |g|) (section 4): bounded far away, gradient ascent near by."""
+
+    alpha: float
+    beta: float
+
+    def __post_init__(self) -> None:
+        if not self.alpha >= 0:
+            raise ValueError(f"alpha={self.alpha}: expected a number >= 0")
+        if not self.beta > 0:
+            raise ValueError(f"beta={self.beta}: expected a number > 0")
+
+    def initial(self, policy: Parameters) -> Parameters:
+        """No memory."""
+        return {}
+
+    def __call__(
+        self, policy: Parameters, gradient: Parameters, memory: Parameters, unit: Tensor
+    ) -> tuple[Parameters, Parameters]:
+        """One saturated step."""
+        rate = self.alpha * unit / (self.beta + gradient_norm(gradient))
+        return _ascend(policy, gradient, rate), memory
+
+
+@dataclass(frozen=True)
+class PlainStep:
+    """theta += alpha unit g (Fig. 1, step 7)."""
+
+    alpha: float
+
+    def __post_init__(self) -> None:
+        if not self.alpha >= 0:
+            raise ValueError(f"alpha={self.alpha}: expected a number >= 0")
+
+    def initial(self, policy: Parameters) -> Parameters:
+        """No memory."""
+        return {}
+
+    def __call__(
+        self, policy: Parameters, gradient: Parameters, memory: Parameters, unit: Tensor
+    ) -> tuple[Parameters, Parameters]:
+        """One step of gradient ascent."""
+        norm = gradient_norm(gradient)
+        return _ascend(policy, gradient, self.alpha * unit * torch.ones_like(norm)), memory

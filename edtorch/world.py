@@ -1,0 +1,65 @@
+"""A sim in a learner's units: states and actions divided by the domain's scales."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from sims.base import Outcome, Sim
+
+
+class World:
+    """Wraps ``sim``; all states and actions seen here are scaled, in ``dtype`` on the CPU.
+
+    The sim itself computes in float64: positions of a kilometre and angles of a microradian meet in
+    it, whatever precision the learner works in.
+    """
+
+    def __init__(self, sim: Sim, dtype: torch.dtype = torch.float64) -> None:
+        self.sim = sim
+        self.spec = sim.spec
+        self.dtype = dtype
+        self.dt = sim.spec.dt
+        self.limit_ticks = round(sim.spec.time_limit / sim.spec.dt)
+        state, action = sim.spec.state, sim.spec.action
+        self._state_scale = torch.tensor([q.scale for q in state], dtype=torch.float64)
+        self._action_scale = torch.tensor([q.scale for q in action], dtype=dtype)
+        self._low = torch.tensor([q.low / q.scale for q in action], dtype=dtype)
+        self._high = torch.tensor([q.high / q.scale for q in action], dtype=dtype)
+        self.period = torch.tensor([q.period / q.scale for q in state], dtype=dtype)
+
+    @property
+    def uniforms(self) -> int:
+        """Uniform numbers that a tick consumes: the disturbances, then those of a restart."""
+        return self.spec.disturbance_dim + self.spec.reset_dim
+
+    def initial(self, uniform: Tensor) -> Tensor:
+        """Start states of the sim, ``[B, k]``, from a tick's uniforms ``[B, u]``."""
+        return self.sim.initial(uniform[..., self.spec.disturbance_dim :].to(torch.float64))
+
+    def restart(self, state: Tensor, mask: Tensor, uniform: Tensor) -> Tensor:
+        """New starts where ``mask`` ``[B]``."""
+        reset = uniform[..., self.spec.disturbance_dim :].to(torch.float64)
+        return self.sim.restart(state, mask, reset)
+
+    def observe(self, state: Tensor) -> Tensor:
+        """Scaled observation ``[B, n]``."""
+        return (self.sim.observe(state) / self._state_scale).to(self.dtype)
+
+    def clip(self, action: Tensor) -> Tensor:
+        """The scaled action as it acts: within its bounds where the domain clips."""
+        if not self.spec.clip_action:
+            return action
+        return torch.minimum(torch.maximum(action, self._low), self._high)
+
+    def step(self, state: Tensor, action: Tensor, uniform: Tensor) -> Tensor:
+        """The sim's state one tick later; action ``[B, m]`` scaled, from ``clip``."""
+        physical = (action * self._action_scale).to(torch.float64)
+        disturbance = uniform[..., : self.spec.disturbance_dim].to(torch.float64)
+        return self.sim.step(state, physical, disturbance)
+
+    def outcome(self, state: Tensor, ticks: Tensor) -> Tensor:
+        """``Outcome`` of each episode, ``[B]``, its time limit included; ticks ``[B]`` so far."""
+        outcome = self.sim.outcome(state)
+        late = (outcome == int(Outcome.RUNNING)) & (ticks >= self.limit_ticks)
+        return torch.where(late, int(Outcome.TIMED_OUT), outcome)

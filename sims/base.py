@@ -1,0 +1,135 @@
+"""What a simulator is: the protocol that every sim follows, and the words it describes itself with.
+
+A sim is a set of functions of tensors with any leading batch dimensions.  It draws no random
+numbers: whoever runs it hands in uniform numbers in [0, 1), so that the same numbers give the same
+episode, whatever the batch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from torch import Tensor
+
+
+class Outcome(IntEnum):
+    """How an episode stands."""
+
+    RUNNING = 0
+    FAILED = 1
+    """The bicycle fell, the arm hit itself..."""
+    SUCCEEDED = 2
+    """The goal was reached."""
+    TIMED_OUT = 3
+    """The time limit came first."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One component of the observed state or of the action.
+
+    ``scale`` divides it on its way to a learner, which sees numbers of order one; ``period`` is
+    that of an angle that wraps (2 pi), 0 for anything else; ``low`` and ``high`` bound it (an
+    action is clipped to them where ``Spec.clip_action`` says so).  All in ``unit``.
+    """
+
+    name: str
+    unit: str
+    scale: float = 1.0
+    low: float = float("-inf")
+    high: float = float("inf")
+    period: float = 0.0
+
+
+@dataclass(frozen=True)
+class Spec:
+    """The facts of a domain.
+
+    ``state``: the components of the observation, in order; ``action``: those of the action;
+    ``dt``: seconds per step; ``time_limit``: seconds after which an episode ends;
+    ``disturbance_dim`` and ``reset_dim``: how many uniform numbers a step and a restart consume;
+    ``clip_action``: whether actions are clipped to their bounds before they act;
+    ``headline``: name of the state component that a figure of one episode should show.
+    """
+
+    name: str
+    state: tuple[Quantity, ...]
+    action: tuple[Quantity, ...]
+    dt: float
+    time_limit: float
+    disturbance_dim: int
+    reset_dim: int
+    clip_action: bool
+    headline: str
+
+
+def spec_index(spec: Spec, names: Iterable[str]) -> list[int]:
+    """Where in the observation the components called ``names`` are, in the order of ``names``.
+
+    So that weights published for another order of features are applied by name:
+    ``observation[..., spec_index(spec, names)]`` has the components in the order of ``names``.
+    """
+    known = [quantity.name for quantity in spec.state]
+    chosen = list(names)
+    for name in chosen:
+        if name not in known:
+            raise ValueError(
+                f"names: {name!r} is no state component of {spec.name}; expected one of"
+                f" {', '.join(known)}"
+            )
+    return [known.index(name) for name in chosen]
+
+
+class Sim(Protocol):
+    """A world to learn in.
+
+    ``state`` below is the sim's own full state, ``[*batch, k]``; what a learner sees of it is
+    ``observe(state)``, ``[*batch, n]``.  A sim that wraps a world with a memory of its own (a
+    physics engine) may treat the tensor as a view of it; it then accepts only the state that it
+    returned last.
+    """
+
+    @property
+    def spec(self) -> Spec:
+        """The facts of the domain."""
+        ...
+
+    def initial(self, uniforms: Tensor) -> Tensor:
+        """Start states ``[*batch, k]`` of episodes, from uniforms ``[*batch, reset_dim]``."""
+        ...
+
+    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
+        """``state`` with a new start where ``mask`` ``[*batch]``, unchanged elsewhere."""
+        ...
+
+    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
+        """The state ``spec.dt`` later; action ``[*batch, m]`` in physical units, already clipped
+        where the domain clips; uniforms ``[*batch, disturbance_dim]``."""
+        ...
+
+    def observe(self, state: Tensor) -> Tensor:
+        """What a learner sees, ``[*batch, n]``, in the units of ``spec.state``."""
+        ...
+
+    def outcome(self, state: Tensor) -> Tensor:
+        """``Outcome`` of each episode as int64 ``[*batch]``, the time limit apart (whoever runs the
+        episode counts its seconds)."""
+        ...
+
+    def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
+        """Figures of finished episodes, each ``[*batch]``, by name with the unit as suffix."""
+        ...
+
+
+@runtime_checkable
+class Pictured(Protocol):
+    """A sim that can draw itself."""
+
+    def frame(self, trail: Tensor) -> np.ndarray:
+        """RGB picture (uint8 ``[height, width, 3]``) of the last state of ``trail`` ``[T, k]``, the
+        states of one episode so far."""
+        ...

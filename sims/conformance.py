@@ -1,0 +1,182 @@
+"""What every sim must keep to, as a check that anyone who writes one can run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from sims.base import Outcome, Sim, Spec
+
+Shape = tuple[int, ...]
+
+
+def check(
+    sim: Sim | Callable[[], Sim],
+    *,
+    batches: tuple[Shape, ...] = ((), (1,), (5,)),
+    steps: int = 20,
+    seed: int = 0,
+) -> None:
+    """Raise an AssertionError that says what is wrong with ``sim``, if anything is.
+
+    Checked, with random actions, in float64: the spec; shapes for every batch of ``batches``;
+    finite states; the same uniforms giving the same digits; rows of a batch equal, bit for bit, to
+    batches of one; arguments left as they were; restarts of some rows only; outcomes; measures;
+    observations within their periods and bounds.
+
+    ``sim``: a sim, or a function that makes one, for sims with a memory of their own.
+    """
+
+    def make() -> Sim:
+        return sim() if callable(sim) else cast(Sim, sim)
+
+    spec = make().spec
+    _check_spec(spec)
+    generator = torch.Generator().manual_seed(seed)
+    names: set[str] | None = None
+    for batch in batches:
+        measures = _check_batch(make, batch, steps, generator)
+        names = set(measures) if names is None else names
+        _expect(set(measures) == names, spec, f"measures: {set(measures)} and {names}")
+    if (5,) in batches and (1,) in batches:
+        _check_singles(make, steps, generator)
+
+
+def _check_spec(spec: Spec) -> None:
+    for which in ("state", "action"):
+        quantities = getattr(spec, which)
+        names = [quantity.name for quantity in quantities]
+        _expect(len(names) > 0, spec, f"spec.{which}: empty")
+        _expect(len(set(names)) == len(names), spec, f"spec.{which}: a name twice in {names}")
+        for quantity in quantities:
+            where = f"spec.{which}.{quantity.name}"
+            scale = quantity.scale
+            _expect(math.isfinite(scale) and scale > 0, spec, f"{where}: scale {scale}")
+            _expect(quantity.low < quantity.high, spec, f"{where}: low is not below high")
+            _expect(quantity.period >= 0, spec, f"{where}: period {quantity.period}")
+    _expect(math.isfinite(spec.dt) and spec.dt > 0, spec, f"spec.dt: {spec.dt}")
+    _expect(spec.time_limit >= spec.dt, spec, f"spec.time_limit: {spec.time_limit}, below dt")
+    _expect(spec.reset_dim >= 0, spec, f"spec.reset_dim: {spec.reset_dim}")
+    _expect(spec.disturbance_dim >= 0, spec, f"spec.disturbance_dim: {spec.disturbance_dim}")
+    known = [quantity.name for quantity in spec.state]
+    _expect(spec.headline in known, spec, f"spec.headline: {spec.headline!r} is not in {known}")
+
+
+class _Draws:
+    """The random numbers of one episode of some steps."""
+
+    def __init__(self, spec: Spec, batch: Shape, steps: int, generator: torch.Generator) -> None:
+        def uniform(*shape: int) -> Tensor:
+            return torch.rand(*shape, generator=generator, dtype=torch.float64)
+
+        m = len(spec.action)
+        low = torch.tensor([max(q.low, -q.scale) for q in spec.action], dtype=torch.float64)
+        high = torch.tensor([min(q.high, q.scale) for q in spec.action], dtype=torch.float64)
+        self.starts = uniform(*batch, spec.reset_dim)
+        self.restarts = uniform(*batch, spec.reset_dim)
+        self.actions = [low + (high - low) * uniform(*batch, m) for _ in range(steps)]
+        self.disturbances = [uniform(*batch, spec.disturbance_dim) for _ in range(steps)]
+
+    def row(self, k: int) -> _Draws:
+        """Those of row k alone, as a batch of one."""
+        one = object.__new__(_Draws)
+        one.starts, one.restarts = self.starts[k : k + 1], self.restarts[k : k + 1]
+        one.actions = [action[k : k + 1] for action in self.actions]
+        one.disturbances = [uniforms[k : k + 1] for uniforms in self.disturbances]
+        return one
+
+
+def _episode(sim: Sim, draws: _Draws) -> list[Tensor]:
+    spec = sim.spec
+    states = [sim.initial(draws.starts)]
+    for action, disturbance in zip(draws.actions, draws.disturbances, strict=True):
+        state = states[-1]
+        arguments = [state, action, disturbance]
+        before = [argument.clone() for argument in arguments]
+        states.append(sim.step(*arguments))
+        for name, old, new in zip(("state", "action", "uniforms"), before, arguments, strict=True):
+            _expect(torch.equal(old, new), spec, f"step: changes its argument {name} in place")
+    return states
+
+
+def _check_batch(
+    make: Callable[[], Sim], batch: Shape, steps: int, generator: torch.Generator
+) -> dict[str, Tensor]:
+    sim = make()
+    spec = sim.spec
+    draws = _Draws(spec, batch, steps, generator)
+    states = _episode(sim, draws)
+    size = states[0].shape[-1] if states[0].ndim else 0
+    low = torch.tensor([q.low for q in spec.state], dtype=torch.float64)
+    high = torch.tensor([q.high for q in spec.state], dtype=torch.float64)
+    half = torch.tensor([q.period / 2 or math.inf for q in spec.state], dtype=torch.float64)
+    for k, state in enumerate(states):
+        where = f"batch {batch}, step {k}"
+        _expect(state.shape == (*batch, size), spec, f"{where}: state of shape {_of(state)}")
+        _expect(bool(state.isfinite().all()), spec, f"{where}: state is not finite")
+        seen = sim.observe(state)
+        n = len(spec.state)
+        _expect(seen.shape == (*batch, n), spec, f"{where}: observation of shape {_of(seen)}")
+        _expect(bool((seen.abs() <= half).all()), spec, f"{where}: observation beyond its period")
+        inside = ((seen >= low) & (seen <= high)).all()
+        _expect(bool(inside), spec, f"{where}: observation out of its bounds")
+        outcome = sim.outcome(state)
+        _expect(outcome.shape == batch, spec, f"{where}: outcome of shape {_of(outcome)}")
+        _expect(outcome.dtype == torch.int64, spec, f"{where}: outcome is {outcome.dtype}")
+        known = all(int(value) in list(Outcome) for value in outcome.reshape(-1))
+        _expect(known, spec, f"{where}: outcome {outcome.tolist()} is none of Outcome")
+    running = bool((sim.outcome(states[0]) == int(Outcome.RUNNING)).all())
+    _expect(running, spec, f"batch {batch}: a start that is not RUNNING")
+
+    seconds = torch.full(batch, steps * spec.dt, dtype=torch.float64)
+    measures = sim.measures(states[0], states[-1], seconds)
+    for name, value in measures.items():
+        _expect(value.shape == batch, spec, f"measures.{name}: shape {_of(value)}, batch {batch}")
+        _expect(value.is_floating_point(), spec, f"measures.{name}: {value.dtype}")
+
+    _check_restart(make, sim, states[-1], batch, draws)
+    again = _episode(make(), draws)
+    same = all(torch.equal(a, b) for a, b in zip(states, again, strict=True))
+    _expect(same, spec, f"batch {batch}: other digits from the same uniforms and actions")
+    return measures
+
+
+def _check_restart(
+    make: Callable[[], Sim], sim: Sim, state: Tensor, batch: Shape, draws: _Draws
+) -> None:
+    spec = sim.spec
+    old = state.clone()
+    mask = torch.arange(math.prod(batch)).reshape(batch) % 2 == 0
+    new = sim.restart(state, mask, draws.restarts)
+    _expect(torch.equal(old, state), spec, "restart: changes its argument state in place")
+    _expect(new.shape == state.shape, spec, f"restart: state of shape {_of(new)}")
+    _expect(torch.equal(new[~mask], old[~mask]), spec, "restart: changed a row outside the mask")
+    fresh = make().initial(draws.restarts)
+    _expect(torch.equal(new[mask], fresh[mask]), spec, "restart: a row in the mask is no new start")
+
+
+def _check_singles(make: Callable[[], Sim], steps: int, generator: torch.Generator) -> None:
+    spec = make().spec
+    draws = _Draws(spec, (5,), steps, generator)
+    sim = make()
+    together = _episode(sim, draws)
+    for k in range(5):
+        alone = _episode(make(), draws.row(k))
+        for t, (one, all_) in enumerate(zip(alone, together, strict=True)):
+            same = torch.equal(one[0], all_[k])
+            _expect(same, spec, f"step {t}: row {k} of a batch of 5 has other digits than alone")
+            seen = torch.equal(sim.observe(one)[0], sim.observe(all_)[k])
+            _expect(seen, spec, f"step {t}: observation of row {k} has other digits than alone")
+
+
+def _of(tensor: Tensor) -> Shape:
+    return tuple(tensor.shape)
+
+
+def _expect(holds: bool, spec: Spec, message: str) -> None:
+    if not holds:
+        raise AssertionError(f"{spec.name}: {message}")

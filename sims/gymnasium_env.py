@@ -1,0 +1,262 @@
+"""Any sim as a Gymnasium environment, and the bicycle among Gymnasium's own.
+
+Importing this module registers ``edtorch/Bicycle-v0``.  Gymnasium 1.0 gave up looking for plugins,
+so one import is needed::
+
+    import gymnasium
+    import sims.gymnasium_env
+    env = gymnasium.make("edtorch/Bicycle-v0")
+
+or ``gymnasium.make("sims.gymnasium_env:edtorch/Bicycle-v0")``, which does the import itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from torch import Tensor
+
+from sims.base import Outcome, Pictured, Sim, Spec
+from sims.bicycle import Bicycle
+
+Array = NDArray[np.float64]
+
+RewardFunction = Callable[[Array, Array, Array], float]
+"""(observation, action as applied, next observation), physical units, to the reward of a step."""
+
+_FAR = np.finfo(np.float64).max
+_RECENT, _THINNING = 2000, 50
+"""A picture gets the last so many states, and of those before them every so-manieth."""
+
+
+class SimEnv(gymnasium.Env[Array, Array]):
+    """One episode of a sim at a time, in physical units and float64.
+
+    Observation and action spaces are boxes with the bounds of ``sim.spec`` (an angle's box is its
+    period around 0).  An episode terminates when its outcome is no longer RUNNING, and is truncated
+    at the sim's time limit.  The info of its last step has ``outcome`` (FAILED, SUCCEEDED or
+    TIMED_OUT) and ``measures`` (dict of floats).  Same seed, same actions: same digits.
+
+    Arguments: ``sim``; ``reward``: function of (observation, action as applied, next observation);
+    ``fail_penalty``: taken off the reward of a step that ends in failure; ``render_mode``: None or
+    "rgb_array" (for a sim that draws itself).
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012
+
+    def __init__(
+        self,
+        sim: Sim,
+        reward: RewardFunction,
+        *,
+        fail_penalty: float = 0.0,
+        render_mode: str | None = None,
+    ) -> None:
+        """Wrap ``sim``, whose step earns ``reward``."""
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode: {render_mode!r}; expected None or 'rgb_array'")
+        if render_mode is not None and not isinstance(sim, Pictured):
+            raise ValueError(f"render_mode: {render_mode!r}; the sim {sim.spec.name} has no frame")
+        self.sim = sim
+        self.reward = reward
+        self.fail_penalty = fail_penalty
+        self.render_mode = render_mode
+        self.observation_space = _observation_space(sim.spec)
+        self.action_space = _action_space(sim.spec)
+        self._low = torch.tensor([quantity.low for quantity in sim.spec.action]).double()
+        self._high = torch.tensor([quantity.high for quantity in sim.spec.action]).double()
+        self._past: list[Tensor] = []
+        self._recent: deque[Tensor] = deque()
+        self._steps = 0
+        self._ended = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """A new episode; ``options`` are not used."""
+        super().reset(seed=seed)
+        with torch.inference_mode():
+            self._start = self._state = self.sim.initial(self._uniforms(self.sim.spec.reset_dim))
+            self._observation = self.sim.observe(self._state)
+        self._past, self._recent = [], deque([self._state])
+        self._steps = 0
+        self._ended = False
+        return self._observation[0].numpy().copy(), {}
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """One step of ``sim.spec.dt`` seconds."""
+        if self._ended:
+            raise RuntimeError("step of an episode that has ended; expected a reset first")
+        sim, spec = self.sim, self.sim.spec
+        with torch.inference_mode():
+            taken = torch.as_tensor(np.asarray(action), dtype=torch.float64).reshape(1, -1)
+            if spec.clip_action:
+                taken = taken.clamp(self._low, self._high)
+            before = self._observation
+            self._state = sim.step(self._state, taken, self._uniforms(spec.disturbance_dim))
+            self._observation = sim.observe(self._state)
+            self._steps += 1
+            outcome = Outcome(int(sim.outcome(self._state)))
+            seconds = self._steps * spec.dt
+            terminated = outcome is not Outcome.RUNNING and outcome is not Outcome.TIMED_OUT
+            # Half a step of tolerance: the product is rounded.
+            truncated = not terminated and (
+                outcome is Outcome.TIMED_OUT or seconds > spec.time_limit - spec.dt / 2
+            )
+            info: dict[str, Any] = {}
+            if terminated or truncated:
+                self._ended = True
+                clock = torch.tensor([seconds], dtype=torch.float64)
+                measures = sim.measures(self._start, self._state, clock)
+                info["outcome"] = outcome.name if terminated else Outcome.TIMED_OUT.name
+                info["measures"] = {name: float(value) for name, value in measures.items()}
+        if self.render_mode is not None:
+            self._remember()
+        observation = self._observation[0].numpy().copy()
+        reward = self.reward(before[0].numpy(), taken[0].numpy(), observation)
+        if outcome is Outcome.FAILED:
+            reward -= self.fail_penalty
+        return observation, float(reward), terminated, truncated, info
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """The picture that the sim draws of the episode so far, RGB uint8; None without a mode."""
+        if self.render_mode is None or not isinstance(self.sim, Pictured):
+            return None
+        if not self._recent:
+            raise RuntimeError("render before the first episode; expected a reset first")
+        return self.sim.frame(torch.cat([*self._past, *self._recent]))
+
+    def _remember(self) -> None:
+        if len(self._recent) == _RECENT:
+            oldest = self._recent.popleft()
+            if self._steps % _THINNING == 0:
+                self._past.append(oldest)
+        self._recent.append(self._state)
+
+    def _uniforms(self, count: int) -> Tensor:
+        return torch.from_numpy(self.np_random.random((1, count)))
+
+
+class BicycleEnv(SimEnv):
+    """Balance a bicycle and ride it to a goal a kilometre away.
+
+    The bicycle of J. Randløv and P. Alstrøm, "Learning to drive a bicycle using reinforcement
+    learning and shaping", ICML 1998: it goes 10 km/h, and falls within two seconds if nothing is
+    done.  Physics and constants: ``sims.bicycle_physics``.
+
+    ## Observation Space
+
+    ``Box(5,)``, float64; angles positive to the left.
+
+    | No. | Observation | Unit | Min | Max |
+    |-----|-------------|------|-----|-----|
+    | 0 | lean of the frame from the vertical | rad | -inf | inf (ends beyond +-pi/15) |
+    | 1 | rate of the lean | rad/s | -inf | inf |
+    | 2 | angle of the handlebar | rad | -inf | inf (stops at +-1.3963) |
+    | 3 | rate of the handlebar | rad/s | -inf | inf |
+    | 4 | angle to the goal, positive if it is on the left | rad | -pi | pi |
+
+    With ``lean_acceleration=True``, also 5: the lean acceleration in the last step, rad/s^2.
+    Infinite stands for the greatest float64.
+
+    ## Action Space
+
+    ``Box(2,)``, float64; clipped to its bounds.
+
+    | No. | Action | Unit | Min | Max |
+    |-----|--------|------|-----|-----|
+    | 0 | torque on the handlebar | N m | -2 | 2 |
+    | 1 | displacement of the rider from the frame's plane | m | -0.02 | 0.02 |
+
+    A disturbance, uniform in [-0.02, 0.02] m and new in every step of 0.01 s, is added to the
+    displacement after the clipping.
+
+    ## Rewards
+
+    *r = -(angle_to_goal^2 + 10 lean^2) dt*, of the state a step arrives at: a cost per second.
+    ``fall_penalty`` (default 0) is taken off in the step that ends in a fall.  Without it a fall
+    costs nothing and ends all further cost, so that an agent that maximises the sum over an episode
+    does best to fall at once, above all with the goal behind it; such agents want a penalty (the
+    most that a ride can cost is about pi^2 per second), or a discount far from 1.
+
+    ## Starting State
+
+    Upright, straight and at rest at the origin, the goal's centre at (1000, 0) m; the heading is
+    uniform over all directions (``start_heading_low``, ``start_heading_high``: the angle psi from
+    +y in rad; 0 for both is the original start, with the goal 90 degrees to the right).
+
+    ## Episode End
+
+    Termination: the lean exceeds 12 degrees (pi/15; info ``outcome`` FAILED), or the front tyre is
+    within ``goal_radius`` = 10 m of the goal (SUCCEEDED).  Truncation: after ``time_limit`` = 1000
+    s, that is 100,000 steps (TIMED_OUT).  The shortest ride takes 356.0 s straight ahead and 360 s
+    from behind.
+
+    ## Arguments
+
+    ``fall_penalty``, ``render_mode`` (None, "rgb_array"), and all those of ``sims.bicycle.Bicycle``
+    by name.
+
+    ```python
+    >>> import gymnasium
+    >>> env = gymnasium.make("sims.gymnasium_env:edtorch/Bicycle-v0", noise=0.0)
+    >>> observation, info = env.reset(seed=3)
+    >>> observation.round(3).tolist()[:4]
+    [0.0, 0.0, 0.0, 0.0]
+    >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    >>> terminated, truncated
+    (False, False)
+
+    ```
+
+    ## Version History
+
+    * v0: first version.
+    """
+
+    def __init__(
+        self, *, fall_penalty: float = 0.0, render_mode: str | None = None, **bicycle: Any
+    ) -> None:
+        """A bicycle, with the arguments ``bicycle`` of ``sims.bicycle.Bicycle``."""
+        if not (math.isfinite(fall_penalty) and fall_penalty >= 0):
+            raise ValueError(f"fall_penalty: {fall_penalty!r}; expected a finite number, 0 or more")
+        sim = Bicycle(**bicycle)
+        names = [quantity.name for quantity in sim.spec.state]
+        lean, angle = names.index("lean"), names.index("angle_to_goal")
+
+        def reward(before: Array, action: Array, after: Array) -> float:
+            return -(after[angle] ** 2 + 10 * after[lean] ** 2) * sim.dt
+
+        super().__init__(sim, reward, fail_penalty=fall_penalty, render_mode=render_mode)
+
+
+def register() -> None:
+    """Make ``edtorch/Bicycle-v0`` known to Gymnasium; once or more often."""
+    if "edtorch/Bicycle-v0" not in gymnasium.registry:
+        gymnasium.register("edtorch/Bicycle-v0", entry_point="sims.gymnasium_env:BicycleEnv")
+
+
+def _observation_space(spec: Spec) -> spaces.Box:
+    low = [-q.period / 2 if q.period else q.low for q in spec.state]
+    high = [q.period / 2 if q.period else q.high for q in spec.state]
+    # Finite where the spec has no bound: Gymnasium's checkers frown on infinite boxes.
+    return spaces.Box(np.maximum(low, -_FAR), np.minimum(high, _FAR), dtype=np.float64)
+
+
+def _action_space(spec: Spec) -> spaces.Box:
+    return spaces.Box(
+        np.array([q.low for q in spec.action]),
+        np.array([q.high for q in spec.action]),
+        dtype=np.float64,
+    )
+
+
+register()
