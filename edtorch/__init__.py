@@ -21,6 +21,7 @@ Rewards are maximised; costs are negative rewards.  Everything takes a leading b
 population of learners is one more dimension.
 """
 
+import sims as _sims  # noqa: F401  # registers edtorch/Bicycle-v0 with Gymnasium
 from edtorch.types import Belief, LearnerState, Metrics, Trajectory, Transition
 
 __version__ = "0.1.0"

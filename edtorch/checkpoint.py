@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from edtorch.interact import Experience, Training
@@ -65,8 +66,8 @@ def load_training(path: Path, training: Training) -> None:
     try:
         content = torch.load(path, weights_only=True)
         seeds, learners, worlds = content["seeds"], content["learners"], content["worlds"]
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise FileProblem(f"{path}: not a saved population ({error})") from error
+    except (OSError, RuntimeError, pickle.UnpicklingError, EOFError, LookupError, TypeError) as error:
+        raise FileProblem(f"{path}: not a saved population") from error
     if seeds != training.seeds:
         raise FileProblem(f"{path}: saved for seeds {seeds}, expected {training.seeds}")
     wanted = training.learners.model["weight"].shape
@@ -101,7 +102,8 @@ def save_policy(path: Path, policy: Parameters, card: PolicyCard) -> None:
     """Save the policies of a population, ``[S, ...]``, as safetensors with their card."""
     tensors = {name: p.detach().contiguous() for name, p in policy.items()}
     metadata = {"edtorch": json.dumps(asdict(card))}
-    write_atomically(path, lambda partial: save_file(tensors, partial, metadata))
+    content = save(tensors, metadata)
+    write_atomically(path, lambda partial: partial.write_bytes(content))
 
 
 def load_policy(path: Path, expected: PolicyCard, shapes: dict[str, tuple[int, ...]]) -> Parameters:

@@ -53,8 +53,6 @@ def choose_path(
         because = "; ".join(obstacles) or "asked for"
         generic = Generic(model, policy, reward, transform, horizon)
         return Choice(generic, f"generic path ({because})")
-    weights = torch.tensor(
-        horizon.weights(), dtype=model.weight.dtype, device=model.weight.device
-    )
+    weights = torch.tensor(horizon.weights(), dtype=model.weight.dtype, device=model.weight.device)
     closed = LinearMeanOnly(model, policy, reward, horizon, weights)
     return Choice(closed, "closed form (linear closed loop, quadratic reward, mean only)")

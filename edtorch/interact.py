@@ -15,7 +15,15 @@ from torch.func import functional_call
 from edtorch.learner import Check, Learner
 from edtorch.policies import LinearPolicy
 from edtorch.streams import Draw, Purpose, Streams, stream_key
-from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select, tree_dataclass
+from edtorch.types import (
+    LearnerState,
+    Metrics,
+    Parameters,
+    Transition,
+    replace,
+    select,
+    tree_dataclass,
+)
 from edtorch.world import World
 from sims.base import Outcome
 
@@ -176,9 +184,7 @@ class Training:
         actions = len(world.spec.action)
         self._streams = Streams(keys, world.uniforms, actions, world.dtype)
         self.worlds = self._first_worlds()
-        self.trail = Trail(
-            self.worlds.world, trail_stride, world.limit_ticks // trail_stride + 2
-        )
+        self.trail = Trail(self.worlds.world, trail_stride, world.limit_ticks // trail_stride + 2)
         self.trail.append(self.worlds.world, self.worlds.active)
         self._trail_start = [0] * len(self.seeds)
         self._sums = _Sums.zero(len(self.seeds))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import logging
 import math
 import statistics
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -162,17 +164,17 @@ class ConsoleSink:
         now = time.monotonic()
         speed = (snapshot.seconds - self._last_seconds) / max(now - self._last_time, 1e-9)
         self._last_seconds, self._last_time = snapshot.seconds, now
-        line = Text(
-            f"{snapshot.seconds:7.0f} s simulated | falls {_spread(snapshot.falls)} | "
-            f"rides {_spread(snapshot.rides)} | value {median(snapshot.value):9.3g} | "
-            f"{sum(snapshot.active)} of {len(snapshot.seeds)} learning | "
-            f"{speed:.0f} s simulated per s"
+        line = (
+            f"{snapshot.seconds:6.0f} s  falls {_spread(snapshot.falls)}  "
+            f"rides {_spread(snapshot.rides)}  value {median(snapshot.value):.3g}  "
+            f"{sum(snapshot.active)}/{len(snapshot.seeds)} learning  {speed:.0f} s per s"
         )
         if self._live is not None:
-            self._live.update(line, refresh=True)
+            # Cut off rather than wrapped where the terminal is narrow: it must stay one line.
+            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
         elif now - self._last_printed >= self._quiet:
             self._last_printed = now
-            self._console.print(line)
+            self._console.print(line, soft_wrap=True, highlight=False)
 
     def close(self) -> None:
         """Leave the terminal as it was."""
@@ -182,3 +184,14 @@ class ConsoleSink:
 
 def _spread(counts: Sequence[int]) -> str:
     return f"{median(counts):g} [{min(counts)}, {max(counts)}]"
+
+
+class StderrHandler(logging.Handler):
+    """Messages to whatever ``sys.stderr`` is at the time.
+
+    While a live line is on the screen that is its console's own, which puts them above the line.
+    """
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print the message."""
+        print(self.format(record), file=sys.stderr)

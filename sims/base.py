@@ -78,7 +78,7 @@ def spec_index(spec: Spec, names: Iterable[str]) -> list[int]:
     for name in chosen:
         if name not in known:
             raise ValueError(
-                f"names: {name!r} is no state component of {spec.name}; expected one of"
+                f"names={name!r}: no state component of {spec.name}; expected one of"
                 f" {', '.join(known)}"
             )
     return [known.index(name) for name in chosen]

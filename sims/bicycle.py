@@ -151,23 +151,27 @@ class Bicycle:
             _expect(name, getattr(self, name), "within [-pi, pi]", lambda x: abs(x) <= math.pi)
         if self.start_heading_low > self.start_heading_high:
             raise ValueError(
-                f"start_heading_low: {self.start_heading_low} is above start_heading_high"
-                f" {self.start_heading_high}; expected low <= high"
+                f"start_heading_low={self.start_heading_low}: expected at most start_heading_high,"
+                f" {self.start_heading_high}"
             )
         if self.dt > self.time_limit:
-            raise ValueError(f"dt: {self.dt} s; expected at most time_limit, {self.time_limit} s")
+            raise ValueError(f"dt={self.dt} s: expected at most time_limit, {self.time_limit} s")
         for argument, given, known in (
             ("state_scale", self.state_scale, _STATE_SCALE),
             ("action_scale", self.action_scale, _ACTION_SCALE),
         ):
             for name, value in given.items():
                 if name not in known:
-                    raise ValueError(f"{argument}: {name!r}; expected names of {', '.join(known)}")
+                    raise ValueError(f"{argument}={name!r}: expected names of {', '.join(known)}")
                 _expect(f"{argument}.{name}", value, "a finite number above 0", lambda x: x > 0)
 
-    @cached_property
+    @property
     def spec(self) -> Spec:
         """The facts of the domain."""
+        return self._spec
+
+    @cached_property
+    def _spec(self) -> Spec:
         scale = _STATE_SCALE | dict(self.state_scale)
         names = list(_STATE_SCALE) if self.lean_acceleration else list(_STATE_SCALE)[:-1]
         period = {"angle_to_goal": 2 * math.pi}
@@ -260,4 +264,4 @@ class Bicycle:
 def _expect(name: str, value: float, expected: str, holds: Callable[[float], bool]) -> None:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not (number and math.isfinite(value) and holds(value)):
-        raise ValueError(f"{name}: {value!r}; expected {expected}")
+        raise ValueError(f"{name}={value!r}: expected {expected}")

@@ -191,8 +191,8 @@ def _near(states: np.ndarray, goal: Point, goal_radius: float) -> Image.Image:
     away = np.flatnonzero(~inside)
     recent = states[away[-1] + 1 :] if len(away) else states
     for column, colour, thick in ((8, (196, 212, 230), 5), (6, _PATH, 4)):
-        line = _sampled(recent, _NEAR_POINTS)[:, column : column + 2]
-        _stroke(draw, [place(x, y) for x, y in line], colour, thick)
+        path = _sampled(recent, _NEAR_POINTS)[:, column : column + 2]
+        _stroke(draw, [place(x, y) for x, y in path], colour, thick)
 
     ahead = np.array([-math.sin(psi), math.cos(psi)])
     side = np.array([-math.cos(psi), -math.sin(psi)])
@@ -309,7 +309,7 @@ def _around(centre: Point, radius: float) -> tuple[float, float, float, float]:
 
 
 def _labels(draw: ImageDraw.ImageDraw, state: np.ndarray, goal: Point) -> None:
-    theta, omega, psi, xf, yf, xb, yb = (float(state[k]) for k in (0, 2, 5, 6, 7, 8, 9))
+    theta, omega, xf, yf, xb, yb = (float(state[k]) for k in (0, 2, 6, 7, 8, 9))
     east, north = goal[0] - xf, goal[1] - yf
     ux, uy = xf - xb, yf - yb
     angle = math.degrees(math.atan2(ux * north - uy * east, ux * east + uy * north))

@@ -61,7 +61,7 @@ class GymnasiumSim:
         """Make one copy, to see what it is like."""
         if termination not in ("failure", "success"):
             raise ValueError(
-                f"termination: {termination!r}; expected 'failure' or 'success' ({env_id})"
+                f"termination={termination!r}: expected 'failure' or 'success' ({env_id})"
             )
         self._id = env_id
         self._kwargs = dict(env_kwargs or {})
@@ -74,16 +74,16 @@ class GymnasiumSim:
         if dt is None:
             dt = getattr(env.unwrapped, "dt", None)
         if dt is None:
-            raise ValueError(f"dt: None; expected the seconds per step, {env_id} does not say them")
+            raise ValueError(f"dt=None: expected the seconds per step, {env_id} does not say them")
         if not (math.isfinite(dt) and dt > 0):
-            raise ValueError(f"dt: {dt!r}; expected a finite number of seconds above 0 ({env_id})")
+            raise ValueError(f"dt={dt!r}: expected a finite number of seconds above 0 ({env_id})")
         if time_limit is None:
             steps = env.spec.max_episode_steps if env.spec is not None else None
             if steps is None:
-                raise ValueError(f"time_limit: None; expected seconds, {env_id} has no limit")
+                raise ValueError(f"time_limit=None: expected seconds, {env_id} has no limit")
             time_limit = steps * dt
         if not time_limit >= dt:
-            raise ValueError(f"time_limit: {time_limit!r}; expected at least dt, {dt} s ({env_id})")
+            raise ValueError(f"time_limit={time_limit!r}: expected at least dt, {dt} s ({env_id})")
         state = _quantities("state", observation, state_names, state_scale)
         self._spec = Spec(
             name=env_id,
@@ -98,7 +98,7 @@ class GymnasiumSim:
         )
         if self._spec.headline not in [quantity.name for quantity in state]:
             names = ", ".join(quantity.name for quantity in state)
-            raise ValueError(f"headline: {headline!r}; expected one of {names}")
+            raise ValueError(f"headline={headline!r}: expected one of {names}")
 
     @property
     def spec(self) -> Spec:
@@ -185,7 +185,9 @@ class GymnasiumSim:
 
 def _box(env_id: str, which: str, space: gymnasium.Space[Any]) -> spaces.Box:
     if not isinstance(space, spaces.Box) or len(space.shape) != 1:
-        raise ValueError(f"{env_id}: {which} space {space}; expected a one-dimensional Box")
+        raise ValueError(
+            f"env_id={env_id}: expected a one-dimensional Box as {which} space, not {space}"
+        )
     return space
 
 
@@ -205,10 +207,10 @@ def _quantities(
         ]
     for argument, given in ((f"{which}_names", names), (f"{which}_scale", scales)):
         if len(given) != size:
-            raise ValueError(f"{argument}: {list(given)}; expected {size} of them")
+            raise ValueError(f"{argument}={list(given)}: expected {size} of them")
     for scale in scales:
         if not (math.isfinite(scale) and scale > 0):
-            raise ValueError(f"{which}_scale: {list(scales)}; expected finite numbers above 0")
+            raise ValueError(f"{which}_scale={list(scales)}: expected finite numbers above 0")
     return tuple(
         Quantity(name, "1", float(scale), float(low), float(high))
         for name, scale, low, high in zip(names, scales, box.low, box.high, strict=True)

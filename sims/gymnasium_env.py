@@ -1,13 +1,12 @@
 """Any sim as a Gymnasium environment, and the bicycle among Gymnasium's own.
 
-Importing this module registers ``edtorch/Bicycle-v0``.  Gymnasium 1.0 gave up looking for plugins,
-so one import is needed::
+``import sims`` (or ``edtorch``) registers ``edtorch/Bicycle-v0``::
 
     import gymnasium
-    import sims.gymnasium_env
+    import edtorch
     env = gymnasium.make("edtorch/Bicycle-v0")
 
-or ``gymnasium.make("sims.gymnasium_env:edtorch/Bicycle-v0")``, which does the import itself.
+``gymnasium.make("sims:edtorch/Bicycle-v0")`` does the import itself.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -62,9 +61,9 @@ class SimEnv(gymnasium.Env[Array, Array]):
     ) -> None:
         """Wrap ``sim``, whose step earns ``reward``."""
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode: {render_mode!r}; expected None or 'rgb_array'")
+            raise ValueError(f"render_mode={render_mode!r}: expected None or 'rgb_array'")
         if render_mode is not None and not isinstance(sim, Pictured):
-            raise ValueError(f"render_mode: {render_mode!r}; the sim {sim.spec.name} has no frame")
+            raise ValueError(f"render_mode={render_mode!r}: the sim {sim.spec.name} has no frame")
         self.sim = sim
         self.reward = reward
         self.fail_penalty = fail_penalty
@@ -227,7 +226,7 @@ class BicycleEnv(SimEnv):
     ) -> None:
         """A bicycle, with the arguments ``bicycle`` of ``sims.bicycle.Bicycle``."""
         if not (math.isfinite(fall_penalty) and fall_penalty >= 0):
-            raise ValueError(f"fall_penalty: {fall_penalty!r}; expected a finite number, 0 or more")
+            raise ValueError(f"fall_penalty={fall_penalty!r}: expected a finite number, 0 or more")
         sim = Bicycle(**bicycle)
         names = [quantity.name for quantity in sim.spec.state]
         lean, angle = names.index("lean"), names.index("angle_to_goal")
@@ -238,25 +237,15 @@ class BicycleEnv(SimEnv):
         super().__init__(sim, reward, fail_penalty=fall_penalty, render_mode=render_mode)
 
 
-def register() -> None:
-    """Make ``edtorch/Bicycle-v0`` known to Gymnasium; once or more often."""
-    if "edtorch/Bicycle-v0" not in gymnasium.registry:
-        gymnasium.register("edtorch/Bicycle-v0", entry_point="sims.gymnasium_env:BicycleEnv")
-
-
-def _observation_space(spec: Spec) -> spaces.Box:
+def _observation_space(spec: Spec) -> gymnasium.Space[Array]:
     low = [-q.period / 2 if q.period else q.low for q in spec.state]
     high = [q.period / 2 if q.period else q.high for q in spec.state]
     # Finite where the spec has no bound: Gymnasium's checkers frown on infinite boxes.
-    return spaces.Box(np.maximum(low, -_FAR), np.minimum(high, _FAR), dtype=np.float64)
+    box = spaces.Box(np.maximum(low, -_FAR), np.minimum(high, _FAR), dtype=np.float64)
+    return cast("gymnasium.Space[Array]", box)
 
 
-def _action_space(spec: Spec) -> spaces.Box:
-    return spaces.Box(
-        np.array([q.low for q in spec.action]),
-        np.array([q.high for q in spec.action]),
-        dtype=np.float64,
-    )
-
-
-register()
+def _action_space(spec: Spec) -> gymnasium.Space[Array]:
+    low, high = [q.low for q in spec.action], [q.high for q in spec.action]
+    box = spaces.Box(np.array(low), np.array(high), dtype=np.float64)
+    return cast("gymnasium.Space[Array]", box)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
 import torch
-from hydra.utils import get_class, get_method, instantiate
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
+from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
 from edtorch.checkpoint import PolicyCard
 from edtorch.dispatch import Wish, choose_path
@@ -25,7 +26,7 @@ from edtorch.unroll import Horizon
 from edtorch.world import World
 from sims.base import Quantity, Sim
 
-FEATURES: Mapping[str, type[FeatureMap]] = {
+FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
     "identity": Identity,
     "affine": Affine,
     "pairwise": Pairwise,
@@ -34,61 +35,39 @@ FEATURES: Mapping[str, type[FeatureMap]] = {
 PRECISIONS = {"float64": torch.float64, "float32": torch.float32}
 
 
-def _known_keys(group: str, config: DictConfig, known: set[str]) -> None:
-    for key, value in config.items():
-        if str(key) not in known:
-            raise ConfigError(
-                f"{group}.{key}={value}: unknown key; {group} has {', '.join(sorted(known))}"
-            )
-
-
-def _argument(value: Any) -> Any:
-    """A constructor's argument: nested targets become objects, other nodes plain containers."""
-    if isinstance(value, DictConfig) and set(value) == {"_target_", "_partial_"}:
-        # The function itself: Hydra's own partial would vet its target again at every call.
-        return get_method(value["_target_"])
-    if isinstance(value, DictConfig) and "_target_" in value:
-        return instantiate(value)
-    if isinstance(value, DictConfig | ListConfig):
-        return OmegaConf.to_container(value)
-    return value
-
-
-def _construct(group: str, config: Any, /, **more: Any) -> Any:
-    """Instantiate a ``_target_`` node; keys that its constructor does not know are refused."""
-    if not isinstance(config, DictConfig) or "_target_" not in config:
-        raise ConfigError(f"{group}={config}: expected a mapping with a _target_")
-    try:
-        target = get_class(config["_target_"])
-    except Exception as error:
-        raise ConfigError(f"{group}._target_={config['_target_']}: {error}") from error
-    accepted = inspect.signature(target).parameters
-    given = set(accepted) - set(more)
-    _known_keys(group, config, given | {"_target_"})
-    arguments = {str(k): _argument(v) for k, v in config.items() if k != "_target_"}
-    arguments |= {k: v for k, v in more.items() if k in accepted}
-    # Hydra looks the target up and vets it; called here, its errors reach us as they are.
-    constructor = instantiate({"_target_": config["_target_"], "_partial_": True})
-    with under(group):
-        return constructor(**arguments)
-
-
 def build_features(key: str, config: Any, inputs: int, seed: int) -> FeatureMap:
     """A feature map from its name, or from a ``_target_`` with its arguments."""
-    if isinstance(config, DictConfig):
-        generator = torch.Generator().manual_seed(seed)
-        more = {"generator": generator} | ({} if "inputs" in config else {"inputs": inputs})
-        return _construct(key, config, **more)
-    if config not in FEATURES:
+    if not isinstance(config, DictConfig):
+        if config not in FEATURES:
+            raise ConfigError(
+                f"{key}={config}: expected one of {', '.join(FEATURES)},"
+                " or a mapping with a _target_"
+            )
+        return FEATURES[config](inputs)
+    generator = torch.Generator().manual_seed(seed)
+    more = {"generator": generator} | ({} if "inputs" in config else {"inputs": inputs})
+    features = construct(key, config, "forward", **more)
+    taken = getattr(features, "inputs", None)
+    if taken != inputs:
+        raise ConfigError(f"{key}.inputs={taken}: expected {inputs}, the size of what it is given")
+    if not isinstance(getattr(features, "outputs", None), int):
         raise ConfigError(
-            f"{key}={config}: expected one of {', '.join(FEATURES)}, or a mapping with a _target_"
+            f"{key}._target_={config._target_}: expected a feature map, which knows its outputs"
         )
-    return FEATURES[config](inputs)
+    return features
+
+
+def _features_of(group: str, config: Any, inputs: int, seed: int) -> tuple[FeatureMap, DictConfig]:
+    """The feature map of a model or policy, and the rest of its node."""
+    if not isinstance(config, DictConfig) or "features" not in config:
+        raise ConfigError(f"{group}={config}: expected a mapping with _target_ and features")
+    features = build_features(f"{group}.features", config.features, inputs, seed)
+    return features, OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])
 
 
 def build_sim(config: Any) -> Sim:
     """The domain."""
-    return _construct("domain", config)
+    return construct("domain", config, "initial", "restart", "step", "observe", "outcome")
 
 
 def _weights(key: str, config: Mapping[str, float], quantities: tuple[Quantity, ...]) -> Tensor:
@@ -97,8 +76,7 @@ def _weights(key: str, config: Mapping[str, float], quantities: tuple[Quantity, 
     for name, weight in config.items():
         if name not in names:
             raise ConfigError(f"{key}.{name}={weight}: expected one of {', '.join(names)}")
-        if not weight >= 0:
-            raise ConfigError(f"{key}.{name}={weight}: expected a number >= 0")
+        at_least(f"{key}.{name}", weight, 0)
     return torch.diag(
         torch.tensor([config.get(q.name, 0.0) * q.scale**2 for q in quantities]).to(torch.float64)
     )
@@ -119,10 +97,15 @@ def build_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticReward:
 def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> LinearPolicy:
     """The policy, as a template for one learner."""
     states, actions = len(sim.spec.state), len(sim.spec.action)
-    features = build_features("policy.features", config.features, states, seed)
-    rest = OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])
-    return _construct(
-        "policy", rest, states=states, actions=actions, features=features, dtype=dtype
+    features, rest = _features_of("policy", config, states, seed)
+    return construct(
+        "policy",
+        rest,
+        "linear_gain",
+        states=states,
+        actions=actions,
+        features=features,
+        dtype=dtype,
     )
 
 
@@ -130,10 +113,15 @@ def _build_model(
     config: Any, world: World, dtype: torch.dtype, seed: int
 ) -> DerivativeModel | NextStateModel:
     states, actions = len(world.spec.state), len(world.spec.action)
-    features = build_features("model.features", config.features, states + actions, seed)
-    rest = OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])
-    return _construct(
-        "model", rest, states=states, actions=actions, features=features, period=world.period
+    features, rest = _features_of("model", config, states + actions, seed)
+    return construct(
+        "model",
+        rest,
+        "linear_dynamics",
+        states=states,
+        actions=actions,
+        features=features,
+        period=world.period,
     )
 
 
@@ -159,22 +147,17 @@ def build_precision(config: Any) -> torch.dtype:
     return PRECISIONS[config.precision]
 
 
-def at_least(key: str, value: float | None, least: float) -> None:
-    """Refuse ``value`` below ``least``; None passes."""
-    if value is not None and not value >= least:
-        raise ConfigError(f"{key}={value}: expected a number >= {least:g}")
-
-
-def _check_schema(config: DictConfig, prefix: str = "") -> None:
-    """Refuse keys that were forced in with "+" beside those of a group's schema."""
-    for key in config:
-        node = config._get_node(key)
-        name = f"{prefix}{key}"
-        if isinstance(node, DictConfig) and not node._is_none():
-            kind = OmegaConf.get_type(node)
-            fields = getattr(kind, "__dataclass_fields__", None)
-            if fields is not None:
-                _known_keys(name, node, set(fields))
+def _build_budget(config: Any) -> Budget:
+    if config.seconds is not None and not (math.isfinite(config.seconds) and config.seconds > 0):
+        raise ConfigError(f"train.seconds={config.seconds}: expected a finite number > 0, or null")
+    for name in ("episodes", "rides"):
+        if config[name] is not None:
+            at_least(f"train.{name}", config[name], 1)
+    if config.seconds is None and config.episodes is None and config.rides is None:
+        raise ConfigError(
+            "train.seconds=null, train.episodes=null, train.rides=null: expected a number for one"
+        )
+    return Budget(config.seconds, config.episodes, config.rides)
 
 
 @dataclass(frozen=True)
@@ -191,17 +174,14 @@ class Setup:
 
 def build(config: DictConfig) -> Setup:
     """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
-    _check_schema(config)
-    at_least("seed", config.seed, 0)
-    at_least("seeds", config.seeds, 1)
+    check_keys(config)
+    check_numbers(config)
+    check_seeds(config)
     at_least("eval.episodes", config.eval.episodes, 0)
     at_least("compute.threads", config.compute.threads, 1)
     at_least("log.every", config.log.every, 1)
     at_least("log.checkpoint", config.log.checkpoint, config.log.every)
-    for name in ("seconds", "episodes", "rides"):
-        at_least(f"train.{name}", config.train[name], 1 if name != "seconds" else 1e-9)
-    with under("train"):
-        budget = Budget(config.train.seconds, config.train.episodes, config.train.rides)
+    budget = _build_budget(config.train)
 
     dtype = build_precision(config.compute)
     sim = build_sim(config.domain)
@@ -209,7 +189,7 @@ def build(config: DictConfig) -> Setup:
     model = _build_model(config.model, world, dtype, config.seed)
     policy = build_policy(config.policy, sim, dtype, config.seed)
     reward = build_reward(config.reward, sim, dtype)
-    transform = _construct("transform", config.transform)
+    transform = construct("transform", config.transform, "move", "reward")
     with under("unroll"):
         euler = isinstance(model, DerivativeModel)
         step = config.unroll.dt if euler else world.dt
@@ -229,10 +209,10 @@ def build(config: DictConfig) -> Setup:
         learner = Learner(
             model=model,
             policy=policy,
-            fit=_construct("fit", config.fit),
+            fit=construct("fit", config.fit, "initial", "update"),
             noise=noise if transform.propagates_covariance else None,
             value=choice.path,
-            step_rule=_construct("step", config.step),
+            step_rule=construct("step", config.step, "initial"),
             exploration=config.noise.exploration,
         )
     seeds = [config.seed + k for k in range(config.seeds)]

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hydra.errors import HydraException
+from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from edtorch.app.folders import Watch
+from edtorch.app.schemas import SCALARS
+from edtorch.app.signals import Interrupted
 from edtorch.checkpoint import FileProblem
 
 
@@ -24,46 +28,66 @@ class NotARun(Exception):
     """A folder that was given as a run is none."""
 
 
+class Refused(BaseException):
+    """The one line for the user, on its way out of a job.
+
+    No ``Exception``: of those Hydra would collect the whole sweep's, and print lines of its own.
+    """
+
+
+EXPECTED = (ConfigError, NotARun, FileProblem, HydraException, OmegaConfBaseException, OSError)
+"""What a user can cause; anything else is a defect of ours and keeps its traceback."""
+
+
+_OPTION = re.compile(r"(?!(null|true|false)$)[A-Za-z_][\w./-]*|\[.*\]")
+_KINDS = {"Integer": "an integer", "Float": "a number", "Boolean": "true or false"}
+
+
 @contextmanager
 def under(group: str) -> Iterator[None]:
     """Turn a constructor's ``ValueError("alpha=-1: ...")`` into ``step.alpha=-1: ...``."""
     try:
         yield
     except (ValueError, TypeError) as error:
-        text = str(error)
-        names_argument = re.match(r"\w+(\[[^]]*\])?=", text) is not None
+        text = " ".join(str(error).split())
+        names_argument = re.match(r"[\w.]+(\[[^]]*\])?=", text) is not None
         raise ConfigError(f"{group}.{text}" if names_argument else f"{group}: {text}") from error
 
 
 def _given(key: str) -> str:
     """The override as the user typed it, else the key alone."""
-    for argument in sys.argv[1:]:
+    for argument in reversed(sys.argv[1:]):
         if argument.lstrip("+~").split("=", 1)[0] == key:
             return argument
     return key
 
 
-def _unknown_key(error: OmegaConfBaseException, key: str) -> str:
-    parent = error.parent_node
-    known = sorted(str(k) for k in parent) if isinstance(parent, DictConfig) else []
-    last = key.rsplit(".", 1)[-1]
+def unknown_key(given: str, key: str, known: list[str]) -> str:
+    """The line for a key that is none of ``known``, its siblings; given: it with its value."""
+    parent, _, last = key.rpartition(".")
     close = difflib.get_close_matches(last, known, n=1)
-    prefix = key[: -len(last)]
-    hint = f"; did you mean {prefix}{close[0]}?" if close else ""
-    listed = f"; {prefix.rstrip('.') or 'the configuration'} has {', '.join(known)}" if known else ""
-    return f"{_given(key)}: unknown key{hint}{listed}"
+    hint = f"; did you mean {parent}{'.' if parent else ''}{close[0]}?" if close else ""
+    listed = f"; {parent or 'the configuration'} has {', '.join(known)}" if known else ""
+    return f"{given}: unknown key{hint}{listed}"
 
 
 def _from_omegaconf(error: OmegaConfBaseException) -> str:
     key = error.full_key or str(error.key)
     first = str(error).splitlines()[0]
     if "is not in struct" in first or "not in '" in first:
-        return _unknown_key(error, key)
+        parent = error.parent_node
+        known = [str(k) for k in parent] if isinstance(parent, DictConfig) else []
+        line = unknown_key(_given(key), key, sorted(set(known) - {"_target_", "hydra"}))
+        by_name = error.object_type is dict and "." in key
+        return f"{line}; to add it by name: +{key}=..." if by_name else line
+    if first.endswith("is not Optional"):
+        return f"{_given(key)}: expected a value, not null"
     if first.startswith("Missing mandatory value"):
         return f"{key}: no value given; set it with {key}=..."
-    converted = re.match(r"Value '(.*)' .*could not be converted to (\w+)", first)
+    converted = re.match(r"Value '(.*)' of type '.*' could not be converted to (\w+)", first)
     if converted:
-        return f"{key}={converted[1]}: expected {converted[2].lower()}"
+        kind = _KINDS.get(converted[2], converted[2].lower())
+        return f"{key}={converted[1]}: expected {kind}"
     return f"{_given(key)}: {first}"
 
 
@@ -72,32 +96,91 @@ def one_line(error: BaseException) -> str:
     chain: list[BaseException] = [error]
     while (cause := chain[-1].__cause__) is not None:
         chain.append(cause)
-    for link in reversed(chain):
-        if isinstance(link, OmegaConfBaseException):
-            return _from_omegaconf(link)
+    if isinstance(error, HydraException | OmegaConfBaseException):
+        for link in reversed(chain):
+            if isinstance(link, OmegaConfBaseException):
+                return _from_omegaconf(link)
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    if isinstance(error, MissingConfigException) and error.options is not None:
+        group, _, option = (error.missing_cfg_file or "").rpartition("/")
+        known = ", ".join(name for name in error.options if not name.endswith("_schema"))
+        return f"{group}={option}: expected one of {known}"
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(" ".join(lines).split()) or type(error).__name__
+
+
+@contextmanager
+def refusing(debug: bool) -> Iterator[None]:
+    """Inside a job: what a user can cause leaves it as ``Refused``, or as it is when debugging."""
+    try:
+        yield
+    except EXPECTED as error:
+        if debug:
+            raise
+        raise Refused(one_line(error)) from error
+
+
+@contextmanager
+def _errors_unchanged() -> Iterator[None]:
+    """Have Hydra hand on the errors of composing instead of printing them and leaving."""
+    name = "HYDRA_FULL_ERROR"
+    before = os.environ.get(name)
+    os.environ[name] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+
+
+def _debugging() -> bool:
+    words = "true|yes|on|y|1"
+    return any(re.fullmatch(rf"debug=({words})", a.lower()) for a in sys.argv[1:])
+
+
+def _odd_choice(error: ValueError) -> str:
+    """Hydra's complaint about ``step=3``, which names neither key nor value."""
+    for argument in sys.argv[1:]:
+        key, equals, value = argument.partition("=")
+        if equals and "." not in key and key not in SCALARS and not _OPTION.fullmatch(value):
+            return f"{argument}: expected KEY=VALUE with the name of an option of a group"
+    return one_line(error)
+
+
+def _message(error: BaseException) -> str:
+    footprint = Watch.footprint
     if isinstance(error, HydraException):
-        lines = [line for line in lines if not line.startswith(("Config search path", "See http"))]
-        return re.sub(r"\s+", " ", "; ".join(lines)).replace(":;", ":")
-    return " ".join(lines) or type(error).__name__
-
-
-EXPECTED = (ConfigError, NotARun, FileProblem, HydraException, OmegaConfBaseException, OSError)
-"""What a user can cause; anything else is a defect of ours and keeps its traceback."""
+        return one_line(error)
+    if isinstance(error, OSError) and footprint is not None:
+        # Outside a job only Hydra writes: the output folder.
+        return (
+            f"{footprint.key}={footprint.wanted}: expected a folder to write to ({error.strerror})"
+        )
+    return _odd_choice(error) if isinstance(error, ValueError) else one_line(error)
 
 
 def guarded(command: str, run: Callable[[], None]) -> int:
     """Run a command; report what goes wrong as one line on stderr and as the exit status."""
+    Watch.footprint = None
     try:
-        run()
-    except KeyboardInterrupt:
-        print(f"{command}: interrupted", file=sys.stderr)
+        with _errors_unchanged():
+            run()
+    except KeyboardInterrupt as error:
+        left = f"; {error}" if isinstance(error, Interrupted) else ""
+        print(f"{command}: interrupted{left}", file=sys.stderr)
         return 130
-    except EXPECTED as error:
-        if "debug=true" in (argument.lower() for argument in sys.argv[1:]):
+    except (Refused, ValueError, *EXPECTED) as error:
+        # A ValueError from before any folder is Hydra's, from composing; later ones are defects.
+        if _debugging() or (type(error) is ValueError and Watch.footprint is not None):
             raise
-        print(f"{command}: {one_line(error)}", file=sys.stderr)
+        print(f"{command}: {_message(error)}", file=sys.stderr)
         return 1
+    finally:
+        if Watch.footprint is not None:
+            Watch.footprint.remove()
     return 0
 
 

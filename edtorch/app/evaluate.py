@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
 from pathlib import Path
+from types import FrameType
+from typing import cast
 
 import hydra
 import torch
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.table import Table
 
 from edtorch.app import schemas
-from edtorch.app.build import at_least, build_policy, build_precision, build_sim, policy_card
-from edtorch.app.errors import ConfigError, guarded, no_such_folder
+from edtorch.app.build import build_policy, build_precision, build_sim, policy_card
+from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing, unknown_key
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
-from edtorch.checkpoint import load_policy, write_text
+from edtorch.checkpoint import FileProblem, load_policy, write_text
 from edtorch.interact import Episode, evaluate
 from edtorch.report.statistics import evaluation_figures
 from edtorch.world import World
@@ -26,14 +29,14 @@ from edtorch.world import World
 def _domain(run_config: DictConfig, changes: DictConfig) -> DictConfig:
     """The run's domain with the changes asked for; unknown keys are refused."""
     domain = run_config.domain
-    OmegaConf.set_struct(domain, True)
-    try:
-        return OmegaConf.merge(domain, changes)  # pyright: ignore[reportReturnType]
-    except OmegaConfBaseException as error:
-        known = ", ".join(str(k) for k in domain)
-        raise ConfigError(
-            f"domain={OmegaConf.to_container(changes)}: expected keys among {known}"
-        ) from error
+    if not isinstance(domain, DictConfig):
+        raise FileProblem(f"config.yaml: domain={domain}: expected a mapping with a _target_")
+    known = sorted(str(key) for key in domain if key != "_target_")
+    for key, value in changes.items():
+        if key not in domain:
+            raise ConfigError(unknown_key(f"domain.{key}={value}", f"domain.{key}", known))
+    merged = OmegaConf.merge(domain, changes)
+    return cast(DictConfig, merged)
 
 
 def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
@@ -60,11 +63,19 @@ def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
 
 
 def _task(config: DictConfig) -> float:
+    with refusing(config.debug):
+        return _evaluate(config)
+
+
+def _evaluate(config: DictConfig) -> float:
+    check_keys(config)
+    check_numbers(config)
     at_least("episodes", config.episodes, 1)
     at_least("threads", config.threads, 1)
     torch.set_num_threads(config.threads)
     folder = Path(config.run)
     run_config = load_config(folder)
+    check_seeds(run_config)
     path = Path(config.policy) if config.policy is not None else folder / POLICY
     if not path.is_file():
         raise (
@@ -94,16 +105,26 @@ def _task(config: DictConfig) -> float:
         "command": command_line(),
     }
     written = folder / f"eval_{time.strftime('%Y-%m-%d_%H-%M-%S')}.json"
-    write_text(written, json_text(result))
+    try:
+        write_text(written, json_text(result))
+    except OSError as error:
+        raise ConfigError(
+            f"run={folder}: expected a folder to write to ({error.strerror})"
+        ) from error
     console = Console()
     console.print(_table(episodes, seeds))
     console.print(f"written to {written}", soft_wrap=True)
     return float(result["goal_rate"]["median"])
 
 
+def _terminate(signum: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
 def main() -> None:
     """Entry point of ``edtorch-eval``."""
     schemas.register()
+    signal.signal(signal.SIGTERM, _terminate)
     run = hydra.main(version_base="1.3", config_path="pkg://conf", config_name="evaluate")(_task)
     sys.exit(guarded("edtorch-eval", run))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import json
 import os
@@ -19,12 +20,15 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from edtorch.app.errors import ConfigError, no_such_folder
+from edtorch.app.schemas import TrainConfig
 from edtorch.checkpoint import FileProblem, write_text
 
 CONFIG = "config.yaml"
 STATUS = "status.json"
 POLICY = "policy.safetensors"
 CHECKPOINT = "checkpoint.pt"
+ABOUT = "run.json"
+SUMMARY = "summary.json"
 PACKAGES = ("edtorch", "torch", "numpy", "hydra-core", "gymnasium", "tensorboard", "matplotlib")
 
 
@@ -58,15 +62,19 @@ def git_commit() -> str | None:
 
 
 def json_text(content: Any) -> str:
-    """JSON for a file, with NaN and infinities as null."""
+    """JSON for a file.  Raises ValueError for NaN and infinities, which JSON does not know."""
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 class RunFolder:
-    """The folder of one training run, from the moment its configuration is known to be good."""
+    """The folder of one training run, from the moment its configuration is known to be good.
 
-    def __init__(self, path: Path) -> None:
+    key: the setting that names it.
+    """
+
+    def __init__(self, path: Path, key: str = "hydra.run.dir") -> None:
         self.path = path
+        self._key = key
         self._began = time.time()
 
     def begin(self, config: DictConfig, seeds: list[int]) -> None:
@@ -74,16 +82,10 @@ class RunFolder:
 
         Raises ConfigError if the folder already holds a run or cannot be written to.
         """
-        if (self.path / STATUS).exists():
+        if (self.path / STATUS).exists() or (self.path / CONFIG).exists():
             raise ConfigError(
-                f"hydra.run.dir={self.path}: already holds a run; expected a new folder"
+                f"{self._key}={self.path}: already holds a run; expected a new folder"
             )
-        try:
-            write_text(self.path / CONFIG, OmegaConf.to_yaml(config, resolve=True))
-        except OSError as error:
-            raise ConfigError(
-                f"hydra.run.dir={self.path}: cannot be written to ({error.strerror})"
-            ) from error
         about = {
             "command": command_line(),
             "seeds": seeds,
@@ -92,8 +94,18 @@ class RunFolder:
             "host": socket.gethostname(),
             "cpu_threads": os.cpu_count(),
         }
-        write_text(self.path / "run.json", json_text(about))
-        self.set_status("running")
+        files = (self.path / ABOUT, self.path / CONFIG)
+        try:
+            write_text(self.path / CONFIG, OmegaConf.to_yaml(config, resolve=True))
+            write_text(self.path / ABOUT, json_text(about))
+            self.set_status("running")
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                for path in files:
+                    path.unlink(missing_ok=True)
+            raise ConfigError(
+                f"{self._key}={self.path}: expected a folder to write to ({error.strerror})"
+            ) from error
 
     def set_status(self, status: str, why: str | None = None) -> None:
         """``running``, ``done``, ``interrupted`` or ``failed``, with the reason."""
@@ -106,12 +118,6 @@ class RunFolder:
         write_text(self.path / STATUS, json_text(content))
 
 
-def remove_if_empty(path: Path) -> None:
-    """Remove the folder that Hydra made for a run that never began."""
-    if path.is_dir() and not any(path.iterdir()):
-        path.rmdir()
-
-
 def load_config(folder: Path) -> DictConfig:
     """The resolved configuration of a run.  Raises NotARun or FileProblem."""
     path = folder / CONFIG
@@ -119,8 +125,15 @@ def load_config(folder: Path) -> DictConfig:
         raise no_such_folder(folder, CONFIG)
     try:
         config = OmegaConf.load(path)
+        if not isinstance(config, DictConfig) or "domain" not in config or "policy" not in config:
+            raise FileProblem(f"{path}: expected the configuration of a training run")
+        # What a run wrote is complete; the schema says so, and has the types.
+        merged = OmegaConf.merge(OmegaConf.structured(TrainConfig), config)
     except (YAMLError, OmegaConfBaseException, UnicodeDecodeError) as error:
-        raise FileProblem(f"{path}: not a configuration ({error})") from error
-    if not isinstance(config, DictConfig) or "domain" not in config or "policy" not in config:
-        raise FileProblem(f"{path}: not the configuration of a training run")
-    return config
+        why = " ".join(str(error).split())
+        raise FileProblem(
+            f"{path}: expected the configuration of a training run ({why})"
+        ) from error
+    if not isinstance(merged, DictConfig):
+        raise FileProblem(f"{path}: expected the configuration of a training run")
+    return merged

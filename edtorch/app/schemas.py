@@ -7,7 +7,7 @@ Values are checked by the constructors that receive them, whose arguments have t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
@@ -20,6 +20,25 @@ class FunctionConfig:
 
     _target_: str = MISSING
     _partial_: bool = True
+
+
+@dataclass
+class PhysicsConfig:
+    """Constants of the bicycle; see ``sims.bicycle.Physics`` for what each is."""
+
+    _target_: str = "sims.bicycle.Physics"
+    v: float = 10 / 3.6
+    g: float = 9.82
+    d_CM: float = 0.30
+    c: float = 0.66
+    h: float = 0.94
+    l: float = 1.11  # noqa: E741 (the article's letter)
+    M_c: float = 15.0
+    M_d: float = 1.7
+    M_p: float = 60.0
+    r: float = 0.34
+    theta_max: float = 1.3963
+    omega_max: float = math.pi / 15
 
 
 @dataclass
@@ -37,6 +56,7 @@ class BicycleConfig:
     lean_acceleration: bool = False
     state_scale: dict[str, float] = field(default_factory=dict)
     action_scale: dict[str, float] = field(default_factory=dict)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     integrate: FunctionConfig = field(
         default_factory=lambda: FunctionConfig("sims.bicycle.semi_implicit")
     )
@@ -47,8 +67,8 @@ class LinearSystemConfig:
     """A linear system with noise; see ``sims.linear.LinearSystem``."""
 
     _target_: str = "sims.linear.LinearSystem"
-    state_matrix: list[list[float]] = MISSING
-    action_matrix: list[list[float]] = MISSING
+    state_matrix: Any = MISSING  # rows of numbers; a typed list would refuse whole ones
+    action_matrix: Any = MISSING
     noise: float = 0.1
     start: float = 1.0
     dt: float = 1.0
@@ -62,10 +82,14 @@ class GymnasiumConfig:
     _target_: str = "sims.from_gymnasium.GymnasiumSim"
     env_id: str = MISSING
     dt: float | None = None
-    time_limit: float = 1000.0
+    time_limit: float | None = None
+    state_scale: list[float] | None = None
+    action_scale: list[float] | None = None
+    state_names: list[str] | None = None
+    action_names: list[str] | None = None
+    headline: str | None = None
+    clip_action: bool = True
     termination: str = "failure"
-    state_scales: list[float] | None = None
-    action_scales: list[float] | None = None
     env_kwargs: dict[str, Any] = field(default_factory=dict)
 
 
@@ -119,7 +143,7 @@ class RewardConfig:
 
 @dataclass
 class NoiseConfig:
-    """exploration: scaled standard deviation; rate: of nu~ (used where covariance is propagated)."""
+    """exploration: scaled standard deviation; rate: of nu~ (where covariance is propagated)."""
 
     exploration: float = 0.05
     rate: float = 1.0
@@ -233,6 +257,14 @@ class EvaluateConfig:
     threads: int = 1
     debug: bool = False
 
+
+SCALARS = frozenset(
+    f.name
+    for schema in (TrainConfig, EvaluateConfig)
+    for f in fields(schema)
+    if f.type in ("int", "bool", "str", "str | None")
+)
+"""Settings outside of any group."""
 
 SCHEMAS: dict[str, dict[str, type]] = {
     "domain": {

@@ -2,76 +2,73 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import math
-import signal
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from rich.table import Table
 
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
-from edtorch.app.errors import ConfigError, guarded
+from edtorch.app.errors import guarded, refusing
+from edtorch.app.folders import remove_empty
 from edtorch.app.pictures import draw
-from edtorch.app.rundir import (
-    CHECKPOINT,
-    POLICY,
-    RunFolder,
-    command_line,
-    json_text,
-    remove_if_empty,
-    versions,
+from edtorch.app.rundir import CHECKPOINT, POLICY, SUMMARY, RunFolder, json_text
+from edtorch.app.signals import Interrupted, Stop
+from edtorch.app.summary import (
+    Timing,
+    broken,
+    flat_settings,
+    medians,
+    summarise,
+    summary_table,
 )
 from edtorch.checkpoint import save_policy, save_training, write_text
 from edtorch.interact import Training, evaluate
-from edtorch.learner import Check
-from edtorch.log import ConsoleSink, CsvSink, Sink, TensorBoardSink
-from edtorch.report.statistics import evaluation_figures, learning_figures
+from edtorch.log import ConsoleSink, CsvSink, Sink, StderrHandler, TensorBoardSink
 
 logger = logging.getLogger("edtorch")
 
-_STARTED = time.monotonic()
+_STARTED = time.monotonic() - time.process_time()
+"""When the process began, near enough: until now it has only imported."""
+_PIECE = 20
+"""Ticks between two looks at whether to stop."""
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Wall and CPU seconds that something took."""
-
-    wall: float
-    cpu: float
-
-    @staticmethod
-    def now() -> Clock:
-        """The present."""
-        return Clock(time.monotonic(), time.process_time())
-
-    def since(self) -> Clock:
-        """What has passed from then to now."""
-        now = Clock.now()
-        return Clock(now.wall - self.wall, now.cpu - self.cpu)
+class _Stopped(Exception):
+    """Somebody asked, and the last tick is complete."""
 
 
-def _broken(training: Training) -> dict[int, tuple[str, int]]:
-    """Learners whose numbers were not finite somewhere: the first place, the first tick."""
-    rows = (~training.finite).any(0).nonzero().flatten().tolist()
-    sound_ticks = training.learners.sound_ticks.tolist()
-    places = training.finite.to(torch.int8).argmin(0).tolist()
-    return {row: (Check(places[row]).name.lower(), sound_ticks[row]) for row in rows}
+@dataclass
+class _Job:
+    """One training run under way."""
+
+    setup: Setup
+    config: DictConfig
+    folder: RunFolder
+    stop: Stop
+    console: Console
+    began: float
+
+    @property
+    def path(self) -> Path:
+        """The run folder."""
+        return self.folder.path
 
 
 def _warn_of_trouble(training: Training, warned: set[int]) -> None:
     """One line for each learner whose numbers broke, when it is first seen."""
-    for row, (place, tick) in _broken(training).items():
+    for row, (place, tick) in broken(training).items():
         if row not in warned:
             warned.add(row)
             logger.warning(
@@ -83,199 +80,177 @@ def _warn_of_trouble(training: Training, warned: set[int]) -> None:
             )
 
 
-def _learn(training: Training, sinks: list[Sink], config: DictConfig, folder: Path) -> None:
+def _advance(training: Training, ticks: int, stop: Stop) -> None:
+    """Run ``ticks`` ticks, or to the end of the tick in which a signal comes."""
+    for done in range(0, ticks, _PIECE):
+        training.advance(min(_PIECE, ticks - done))
+        if stop.asked:
+            raise _Stopped
+
+
+def _learn(job: _Job, training: Training, sinks: list[Sink]) -> None:
     """Run the loop to the end of every budget, reporting on the way."""
-    per_snapshot = max(1, round(config.log.every / training.world.dt))
-    next_save = config.log.checkpoint
+    log = job.config.log
+    per_snapshot = max(1, round(log.every / training.world.dt))
+    next_save = log.checkpoint
     reported, warned = 0, set()
     while not training.done:
-        training.advance(per_snapshot)
+        _advance(training, per_snapshot, job.stop)
         snapshot = training.snapshot()
         for sink in sinks:
             sink.write(snapshot, training.episodes[reported:])
         reported = len(training.episodes)
         _warn_of_trouble(training, warned)
         if training.seconds >= next_save:
-            save_training(folder / CHECKPOINT, training)
-            next_save += config.log.checkpoint
+            save_training(job.path / CHECKPOINT, training)
+            next_save += log.checkpoint
 
 
-def _summary(training: Training, timing: dict[str, float], evaluated: Any) -> dict[str, Any]:
-    lived = (training.learners.tick * training.world.dt).tolist()
-    ticks = int(training.learners.tick.sum())
-    return {
-        "seeds": training.seeds,
-        **learning_figures(training.episodes, training.seeds, lived),
-        **evaluation_figures(evaluated),
-        "simulated_seconds": lived,
-        "ticks": ticks,
-        "ticks_per_cpu_s": ticks / timing["cpu_s"],
-        **timing,
-        "not_finite": {
-            str(training.seeds[row]): {"place": place, "tick": tick}
-            for row, (place, tick) in _broken(training).items()
-        },
-        "versions": versions(),
-        "command": command_line(),
-    }
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def _table(summary: dict[str, Any], title: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column("over the seeds")
-    for name in ("median", "min", "max"):
-        table.add_column(name, justify="right")
-    rows = (
-        ("falls before the first ride", "falls_before_first_ride", 0),
-        ("seconds before the first ride", "seconds_before_first_ride", 1),
-        ("falls after the first ride", "falls_after_first_ride", 0),
-        ("evaluation: reached the goal", "goal_rate", 3),
-        ("evaluation: time to the goal, s", "goal_time_s", 1),
-        ("evaluation: over the shortest possible", "goal_time_over_shortest", 4),
-        ("evaluation: length of path, m", "path_length_m", 1),
-    )
-    for label, key, digits in rows:
-        spread = summary[key]
-        if spread["median"] is not None:
-            table.add_row(label, *(_number(spread[k], digits) for k in ("median", "min", "max")))
-    return table
-
-
-def _flat_settings(config: DictConfig) -> dict[str, str | float | bool]:
-    """Every leaf of the configuration by its full key, for TensorBoard's table of settings."""
-    flat: dict[str, str | float | bool] = {}
-
-    def visit(node: Any, prefix: str) -> None:
-        for key, value in node.items():
-            if isinstance(value, dict):
-                visit(value, f"{prefix}{key}.")
-            else:
-                flat[f"{prefix}{key}"] = value if isinstance(value, bool | int | float) else str(value)
-
-    visit(OmegaConf.to_container(config, resolve=True), "")
-    return flat
-
-
-def train(setup: Setup, config: DictConfig, folder: RunFolder, console: Console) -> dict[str, Any]:
-    """Learn, evaluate, write everything; returns the content of ``summary.json``."""
-    path = folder.path
-    training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
-    logger.info("%d learners on %s; %s", len(setup.seeds), setup.world.spec.name, setup.path)
-    timing = {"startup_s": round(time.monotonic() - _STARTED, 3)}
-    sinks: list[Sink] = [CsvSink(path)]
-    board = None
-    if config.log.tensorboard:
-        board = TensorBoardSink(path, OmegaConf.to_yaml(config, resolve=True))
-        sinks.append(board)
-    if config.log.progress:
-        sinks.append(ConsoleSink(console))
+def _learn_and_save(job: _Job, training: Training, sinks: list[Sink], timing: Timing) -> None:
+    """Learn; however that ends, time it and save what has been learned."""
+    wall, cpu = time.monotonic(), time.process_time()
     try:
-        began = Clock.now()
-        try:
-            _learn(training, sinks, config, path)
-        finally:
-            spent = began.since()
-            timing |= {"wall_s": spent.wall, "cpu_s": spent.cpu}
-            save_training(path / CHECKPOINT, training)
-            save_policy(path / POLICY, training.learners.policy, setup.card)
+        with job.stop.between_ticks(), contextlib.suppress(_Stopped):
+            _learn(job, training, sinks)
+    finally:
+        with job.stop.not_now():
+            timing.wall_s = time.monotonic() - wall
+            timing.cpu_s = time.process_time() - cpu
+            timing.ticks = int(training.learners.tick.sum())
+            save_training(job.path / CHECKPOINT, training)
+            save_policy(job.path / POLICY, training.learners.policy, job.setup.card)
+    if job.stop.asked:
+        raise KeyboardInterrupt
 
-        began = Clock.now()
-        if config.eval.episodes:
-            console.print(
-                f"{config.eval.episodes} fresh episodes for each of {len(setup.seeds)} policies..."
-            )
-        fresh = build(config).world
-        evaluated = evaluate(
-            setup.learner.policy,
-            training.learners.policy,
-            fresh,
-            setup.seeds,
-            config.eval.episodes,
-        ).episodes
-        timing["eval_s"] = began.since().wall
 
-        began = Clock.now()
-        if config.log.figures:
-            figure = draw(training, path, animate=config.log.animation)
-            if board is not None:
-                board.writer.add_figure("learning_curve", figure, round(training.seconds))
-        timing["figures_s"] = began.since().wall
+@contextlib.contextmanager
+def _timed(timing: Timing, name: str) -> Iterator[None]:
+    began = time.monotonic()
+    yield
+    setattr(timing, name, time.monotonic() - began)
 
-        summary = _summary(training, timing, evaluated)
+
+def _sinks(job: _Job) -> tuple[list[Sink], TensorBoardSink | None]:
+    log = job.config.log
+    sinks: list[Sink] = [CsvSink(job.path)]
+    board = None
+    if log.tensorboard:
+        board = TensorBoardSink(job.path, OmegaConf.to_yaml(job.config, resolve=True))
+        sinks.append(board)
+    if log.progress:
+        sinks.append(ConsoleSink(job.console))
+    return sinks, board
+
+
+def _train(job: _Job) -> dict[str, Any]:
+    """Learn, evaluate, write everything; returns the content of ``summary.json``."""
+    setup, config, console = job.setup, job.config, job.console
+    stride = max(1, setup.world.limit_ticks // 10_000)
+    training = Training(setup.learner, setup.world, setup.seeds, setup.budget, stride)
+    title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
+    logger.info("%s; %s", title, setup.path)
+    timing = Timing(startup_s=time.monotonic() - job.began)
+    sinks, board = _sinks(job)
+    try:
+        _learn_and_save(job, training, sinks, timing)
+        with _timed(timing, "eval_s"):
+            episodes = config.eval.episodes
+            evaluated = [[] for _ in setup.seeds]
+            if episodes:
+                console.print(f"{episodes} fresh episodes for each policy...")
+                # A world of its own: one that wraps a simulator is still in its last episode.
+                world = build(config).world
+                policy, parameters = setup.learner.policy, training.learners.policy
+                evaluated = evaluate(policy, parameters, world, setup.seeds, episodes).episodes
+        with _timed(timing, "figures_s"):
+            if config.log.figures:
+                figure = draw(training, job.path, animate=config.log.animation)
+                if board is not None:
+                    board.writer.add_figure("learning_curve", figure, round(training.seconds))
+        summary = summarise(training, timing, evaluated)
         if board is not None:
-            medians = {
-                f"summary/{key}": value["median"]
-                for key, value in summary.items()
-                if isinstance(value, dict) and value.get("median") is not None
-            }
-            board.hparams(_flat_settings(config), medians)
+            board.hparams(flat_settings(config), medians(summary))
     finally:
         for sink in sinks:
             sink.close()
-    write_text(path / "summary.json", json_text(summary))
-    console.print(_table(summary, f"{setup.world.spec.name}, {len(setup.seeds)} learners"))
+    write_text(job.path / SUMMARY, json_text(summary))
+    console.print(summary_table(summary, title))
     if summary["never_rode"]:
-        console.print(f"never rode: seeds {summary['never_rode']}")
+        console.print(f"never rode: seeds {summary['never_rode']}", soft_wrap=True)
     console.print(
-        f"learning {timing['wall_s']:.1f} s, {summary['ticks_per_cpu_s']:.0f} learner ticks per CPU "
-        f"second; evaluation {timing['eval_s']:.1f} s, pictures {timing['figures_s']:.1f} s"
+        f"learning {timing.wall_s:.1f} s ({timing.ticks_per_cpu_s:.0f} learner ticks per CPU s),"
+        f" evaluation {timing.eval_s:.1f} s, pictures {timing.figures_s:.1f} s",
+        soft_wrap=True,
     )
-    console.print(f"run folder: {path}", soft_wrap=True)
+    console.print(f"run folder: {job.path}", soft_wrap=True)
     return summary
 
 
-def _log_to(folder: Path) -> logging.Handler:
-    handler = logging.FileHandler(folder / "run.log", encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    return handler
-
-
-def _task(config: DictConfig) -> float:
-    """One job.  Returns the median of the seconds before the first ride, for sweepers to minimise."""
-    torch.set_num_threads(max(1, config.compute.threads))
-    folder = RunFolder(Path(HydraConfig.get().runtime.output_dir))
-    try:
-        setup = build(config)
-        folder.begin(config, setup.seeds)
-    except ConfigError:
-        remove_if_empty(folder.path)
-        raise
-    handlers = [_log_to(folder.path), logging.StreamHandler()]
+@contextlib.contextmanager
+def _logging_to(folder: Path) -> Iterator[None]:
+    """Messages go to ``run.log`` in the folder, and to stderr."""
+    file = logging.FileHandler(folder / "run.log", encoding="utf-8")
+    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    stderr = StderrHandler()
+    # What ends the run reaches the user as the command's last words.
+    stderr.addFilter(lambda record: record.exc_info is None)
+    handlers = [file, stderr]
     logger.setLevel(logging.INFO)
     logger.propagate = False
     for handler in handlers:
         logger.addHandler(handler)
-    console = Console()
     try:
-        summary = train(setup, config, folder, console)
-    except KeyboardInterrupt:
-        folder.set_status("interrupted", "stopped by a signal; policy and checkpoint are of then")
-        raise
-    except BaseException as error:
-        logger.exception("failed")
-        folder.set_status("failed", f"{type(error).__name__}: {error}")
-        raise
+        yield
     finally:
         for handler in handlers:
             logger.removeHandler(handler)
             handler.close()
+
+
+def _run(config: DictConfig, folder: RunFolder, stop: Stop, began: float) -> dict[str, Any]:
+    """The job from configuration to table; the folder says at any time what has become of it."""
+    setup = build(config)
+    torch.set_num_threads(config.compute.threads)
+    folder.begin(config, setup.seeds)
+    try:
+        with _logging_to(folder.path):
+            try:
+                summary = _train(_Job(setup, config, folder, stop, Console(), began))
+            except Exception:
+                logger.exception("failed")
+                raise
+    except KeyboardInterrupt as error:
+        with stop.not_now():
+            folder.set_status("interrupted", "stopped by a signal; saved as of then")
+        raise Interrupted(f"saved in {folder.path}") from error
+    except BaseException as error:
+        with stop.not_now(), contextlib.suppress(OSError):
+            folder.set_status("failed", f"{type(error).__name__}: {error}")
+        raise
     folder.set_status("done")
-    objective = summary["seconds_before_first_ride"]["median"]
-    return math.inf if objective is None else float(objective)
+    return summary
 
 
-def _stop(signum: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+def _task(config: DictConfig) -> float:
+    """One job.  Returns the median seconds before the first ride, for sweepers to minimise."""
+    settings = HydraConfig.get()
+    alone = settings.mode == RunMode.RUN
+    began = _STARTED if alone else time.monotonic()
+    key = "hydra.run.dir" if alone else "hydra.sweep.dir"
+    folder = RunFolder(Path(settings.runtime.output_dir), key)
+    stop = Stop()
+    try:
+        with stop.listening(), refusing(config.debug):
+            summary = _run(config, folder, stop, began)
+    finally:
+        if not alone:
+            remove_empty(folder.path, folder.path.parent)
+    return float(summary["seconds_before_first_ride"]["median"])
 
 
 def main() -> None:
     """Entry point of ``edtorch-train``."""
     schemas.register()
-    signal.signal(signal.SIGTERM, _stop)
     run = hydra.main(version_base="1.3", config_path="pkg://conf", config_name="train")(_task)
     sys.exit(guarded("edtorch-train", run))
 

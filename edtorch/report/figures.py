@@ -33,9 +33,7 @@ class Ride:
     title: str
 
 
-def learning_curve(
-    episodes: Sequence[Episode], rows: int, ride: Ride | None, title: str
-) -> Figure:
+def learning_curve(episodes: Sequence[Episode], rows: int, ride: Ride | None, title: str) -> Figure:
     """Length of episode against training time, one line a learner; below, one ride.
 
     The dashed line is the median of the shortest times that the starts of the successful episodes

@@ -114,7 +114,9 @@ def evaluation_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]
                 for r in reached
             ]
         ).as_json(),
-        "episode_s": Spread([_median_or_none([e.seconds for e in own]) for own in evaluated]).as_json(),
+        "episode_s": Spread(
+            [_median_or_none([e.seconds for e in own]) for own in evaluated]
+        ).as_json(),
     }
     return figures
 

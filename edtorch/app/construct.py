@@ -1,0 +1,95 @@
+"""From a ``_target_`` node to an object, with every error under its full key."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from hydra.utils import get_class, get_method, instantiate
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from edtorch.app.errors import ConfigError, under, unknown_key
+
+
+_GATHERING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
+
+def known_keys(group: str, config: DictConfig, known: set[str]) -> None:
+    """Refuse keys of a group that are not ``known``."""
+    for key in config:
+        if str(key) not in known:
+            name, value = f"{group}.{key}", config._get_node(key)
+            raise ConfigError(unknown_key(f"{name}={value}", name, sorted(known - {"_target_"})))
+
+
+def _target(group: str, config: Any) -> Any:
+    """The class that a node names; Hydra looks it up and vets it."""
+    if not isinstance(config, DictConfig) or "_target_" not in config:
+        raise ConfigError(f"{group}={config}: expected a mapping with a _target_")
+    name = config._target_
+    try:
+        return get_class(name)
+    except Exception as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise ConfigError(
+            f"{group}._target_={name}: expected the full name of a class ({why})"
+        ) from error
+
+
+def _argument(key: str, value: Any) -> Any:
+    """A constructor's argument: nested targets become objects, other nodes plain containers."""
+    if isinstance(value, DictConfig) and value.get("_partial_"):
+        # The function itself: Hydra's own partial would vet its target again at every call.
+        known_keys(key, value, {"_target_", "_partial_"})
+        try:
+            return get_method(value._target_)
+        except Exception as error:
+            why = " ".join(str(error).split())
+            raise ConfigError(
+                f"{key}._target_={value._target_}: expected the full name of a function ({why})"
+            ) from error
+    if isinstance(value, DictConfig) and "_target_" in value:
+        return construct(key, value)
+    if isinstance(value, DictConfig | ListConfig):
+        return OmegaConf.to_container(value)
+    return value
+
+
+def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
+    """An object from a ``_target_`` node; keys that its constructor does not know are refused.
+
+    methods: what the object must be able to do; more: arguments that do not come from the
+    configuration, of which the constructor gets those that it knows.
+    """
+    target = _target(group, config)
+    lacking = [name for name in methods if not hasattr(target, name)]
+    if lacking:
+        raise ConfigError(
+            f"{group}._target_={config._target_}: expected a class with {', '.join(methods)};"
+            f" it lacks {', '.join(lacking)}"
+        )
+    try:
+        accepted = inspect.signature(target).parameters
+    except ValueError as error:
+        raise ConfigError(f"{group}._target_={config._target_}: {error}") from error
+    if not any(p.kind is _GATHERING[1] for p in accepted.values()):
+        known_keys(group, config, (set(accepted) - set(more)) | {"_target_"})
+    arguments = {str(k): _argument(f"{group}.{k}", v) for k, v in config.items() if k != "_target_"}
+    arguments |= {k: v for k, v in more.items() if k in accepted}
+    for name, parameter in accepted.items():
+        optional = parameter.kind in _GATHERING or parameter.default is not inspect.Parameter.empty
+        if not optional and name not in arguments:
+            raise ConfigError(f"{group}.{name}: no value given; set it with {group}.{name}=...")
+    # Called here and not by Hydra, so that its errors reach us as they are.
+    constructor = instantiate({"_target_": config._target_, "_partial_": True})
+    with under(group):
+        try:
+            return constructor(**arguments)
+        except (ValueError, TypeError):
+            raise
+        except Exception as error:
+            # Whatever a constructor cannot do, it cannot do with this configuration.
+            why = f"{type(error).__name__}: {error}"
+            raise ConfigError(
+                f"{group}._target_={config._target_}: {why} (debug=true shows where)"
+            ) from error

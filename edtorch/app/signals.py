@@ -1,0 +1,67 @@
+"""Being stopped from outside: by Ctrl-C (SIGINT) or by a scheduler (SIGTERM)."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupted(KeyboardInterrupt):
+    """The run was stopped from outside; the message says what is left of it."""
+
+
+class Stop:
+    """Whether a signal has come, for a loop that looks after each piece of work.
+
+    A signal interrupts at once (KeyboardInterrupt), but for two places: ``between_ticks`` the first
+    one only sets ``asked``, so that no tick is left half done; ``not_now`` it is ignored.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._patient = False
+        self._deaf = False
+
+    def _handle(self, signum: int, frame: FrameType | None) -> None:
+        if self._deaf:
+            return
+        if self._patient and not self.asked:
+            self.asked = True
+            return
+        raise KeyboardInterrupt
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Handle the signals in this block (in a process's main thread, which alone gets any)."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {number: signal.signal(number, self._handle) for number in SIGNALS}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    @contextmanager
+    def between_ticks(self) -> Iterator[None]:
+        """The first signal waits until the block looks at ``asked``; another one does not."""
+        self._patient = True
+        try:
+            yield
+        finally:
+            self._patient = False
+
+    @contextmanager
+    def not_now(self) -> Iterator[None]:
+        """Signals are ignored: what is written here is written to the end."""
+        self._deaf = True
+        try:
+            yield
+        finally:
+            self._deaf = False

@@ -1,0 +1,119 @@
+"""The outcome of a run: ``summary.json``, the table at the end, TensorBoard's table of settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from rich.table import Table
+
+from edtorch.app.rundir import command_line, versions
+from edtorch.interact import Episode, Training
+from edtorch.learner import Check
+from edtorch.report.statistics import evaluation_figures, learning_figures
+
+
+@dataclass
+class Timing:
+    """Seconds that the parts of a run took.
+
+    startup: from the start of the process to the first tick; wall, cpu: of the learning loop,
+    logging included; eval, figures: evaluation and pictures.
+    """
+
+    startup_s: float = 0.0
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    eval_s: float = 0.0
+    figures_s: float = 0.0
+    ticks: int = 0
+
+    @property
+    def ticks_per_cpu_s(self) -> float:
+        """Learner ticks of the whole population per CPU second of the loop."""
+        return self.ticks / max(self.cpu_s, 1e-9)
+
+
+def broken(training: Training) -> dict[int, tuple[str, int]]:
+    """Learners whose numbers were not finite somewhere: the first place, the first tick."""
+    rows = (~training.finite).any(0).nonzero().flatten().tolist()
+    sound_ticks = training.learners.sound_ticks.tolist()
+    places = training.finite.to(torch.int8).argmin(0).tolist()
+    return {row: (Check(places[row]).name.lower(), sound_ticks[row]) for row in rows}
+
+
+def summarise(training: Training, timing: Timing, evaluated: list[list[Episode]]) -> dict[str, Any]:
+    """The content of ``summary.json``."""
+    lived = (training.learners.tick * training.world.dt).tolist()
+    return {
+        "seeds": training.seeds,
+        **learning_figures(training.episodes, training.seeds, lived),
+        **evaluation_figures(evaluated),
+        "simulated_seconds": lived,
+        "ticks": timing.ticks,
+        "ticks_per_cpu_s": timing.ticks_per_cpu_s,
+        "wall_s": timing.wall_s,
+        "cpu_s": timing.cpu_s,
+        "startup_s": timing.startup_s,
+        "eval_s": timing.eval_s,
+        "figures_s": timing.figures_s,
+        "not_finite": {
+            str(training.seeds[row]): {"place": place, "tick": tick}
+            for row, (place, tick) in broken(training).items()
+        },
+        "versions": versions(),
+        "command": command_line(),
+    }
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def summary_table(summary: dict[str, Any], title: str) -> Table:
+    """Median and extremes over the seeds, for the terminal."""
+    table = Table(title=title, title_justify="left")
+    table.add_column("over the seeds")
+    for name in ("median", "min", "max"):
+        table.add_column(name, justify="right")
+    rows = (
+        ("falls before the first ride", "falls_before_first_ride", 0),
+        ("seconds before the first ride", "seconds_before_first_ride", 1),
+        ("falls after the first ride", "falls_after_first_ride", 0),
+        ("evaluation: reached the goal", "goal_rate", 3),
+        ("evaluation: time to the goal, s", "goal_time_s", 1),
+        ("evaluation: over the shortest possible", "goal_time_over_shortest", 4),
+        ("evaluation: length of path, m", "path_length_m", 1),
+    )
+    for label, key, digits in rows:
+        spread = summary[key]
+        if spread["median"] is not None:
+            table.add_row(label, *(_number(spread[k], digits) for k in ("median", "min", "max")))
+    return table
+
+
+def medians(summary: dict[str, Any]) -> dict[str, float]:
+    """The medians over the seeds, by TensorBoard tag."""
+    return {
+        f"summary/{key}": value["median"]
+        for key, value in summary.items()
+        if isinstance(value, dict) and value.get("median") is not None
+    }
+
+
+def flat_settings(config: DictConfig) -> dict[str, str | float | bool]:
+    """Every leaf of the configuration by its full key, for TensorBoard's table of settings."""
+    flat: dict[str, str | float | bool] = {}
+
+    def visit(node: Any, prefix: str) -> None:
+        for key, value in node.items():
+            if isinstance(value, dict):
+                visit(value, f"{prefix}{key}.")
+            else:
+                plain = isinstance(value, bool | int | float)
+                flat[f"{prefix}{key}"] = value if plain else str(value)
+
+    visit(OmegaConf.to_container(config, resolve=True), "")
+    return flat

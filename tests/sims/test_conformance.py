@@ -1,0 +1,147 @@
+"""Every sim keeps to the protocol, and the check notices those that do not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from sims.base import Sim, Spec
+from sims.bicycle import Bicycle, explicit_euler
+from sims.conformance import check
+from sims.from_gymnasium import GymnasiumSim
+from sims.linear import LinearSystem
+
+SIMS: dict[str, Callable[[], Sim]] = {
+    "bicycle": Bicycle,
+    "bicycle, six components": lambda: Bicycle(lean_acceleration=True, integrate=explicit_euler),
+    "bicycle, not clipped": lambda: Bicycle(clip_action=False, goal_radius=2.0, noise=0.0),
+    "linear": lambda: LinearSystem([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.5]]),
+    "pendulum": lambda: GymnasiumSim("Pendulum-v1"),
+    "mountain car": lambda: GymnasiumSim(
+        "MountainCarContinuous-v0", dt=0.02, termination="success"
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SIMS)
+def test_every_sim_conforms(name: str) -> None:
+    check(SIMS[name])
+
+
+def test_one_object_conforms_too() -> None:
+    check(Bicycle())
+    check(GymnasiumSim("Pendulum-v1"), batches=((1,), (5,)))
+
+
+class InPlace(Bicycle):
+    """Writes into its argument."""
+
+    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
+        return state.copy_(super().step(state, action, uniforms))
+
+
+class Forgetful(Bicycle):
+    """Draws numbers of its own."""
+
+    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
+        return super().step(state, action, torch.rand_like(uniforms))
+
+
+class Coupled(Bicycle):
+    """Its rows depend on one another, in the last digits."""
+
+    def observe(self, state: Tensor) -> Tensor:
+        seen = super().observe(state)
+        return seen + 1e-12 * seen[..., :1].sum()
+
+
+class RestartsAll(Bicycle):
+    """Restarts what it should not."""
+
+    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
+        return self.initial(uniforms)
+
+
+class RestartsNone(Bicycle):
+    """Restarts nothing."""
+
+    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
+        return state
+
+
+class Unwrapped(Bicycle):
+    """Its angle leaves its period."""
+
+    def observe(self, state: Tensor) -> Tensor:
+        return super().observe(state) + 4
+
+
+class Diverging(Bicycle):
+    """Runs out of numbers."""
+
+    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
+        return super().step(state, action, uniforms) / 0
+
+
+class Undecided(Bicycle):
+    """Reports an outcome that there is not."""
+
+    def outcome(self, state: Tensor) -> Tensor:
+        return super().outcome(state) + 7
+
+
+class Floating(Bicycle):
+    """Reports outcomes as floats."""
+
+    def outcome(self, state: Tensor) -> Tensor:
+        return super().outcome(state).double()
+
+
+class Mismeasured(Bicycle):
+    """One figure for the whole batch."""
+
+    def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
+        return {"seconds": seconds.sum()}
+
+
+@dataclass(frozen=True)
+class Misnamed(Bicycle):
+    """Shows a component that it has not."""
+
+    @property
+    def spec(self) -> Spec:
+        return replace(super().spec, headline="speed")
+
+
+class Short(Bicycle):
+    """Hides a component."""
+
+    def observe(self, state: Tensor) -> Tensor:
+        return super().observe(state)[..., :4]
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (InPlace, "step: changes its argument state"),
+        (Forgetful, "other digits from the same uniforms"),
+        (Coupled, "observation of row"),
+        (RestartsAll, "outside the mask"),
+        (RestartsNone, "no new start"),
+        (Unwrapped, "beyond its period"),
+        (Diverging, "not finite"),
+        (Undecided, "none of Outcome"),
+        (Floating, "outcome is torch.float64"),
+        (Mismeasured, "measures.seconds"),
+        (Misnamed, "headline"),
+        (Short, "observation of shape"),
+    ],
+)
+def test_a_broken_sim_is_named(broken: type[Bicycle], message: str) -> None:
+    with pytest.raises(AssertionError, match="bicycle: ") as complaint:
+        check(broken)
+    assert message in str(complaint.value)

@@ -1,0 +1,115 @@
+"""Small worlds, learners and random systems that several tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from edtorch.closed_form import LinearMeanOnly
+from edtorch.dispatch import Wish, choose_path
+from edtorch.features import Identity
+from edtorch.fit import Fit, SquaredError
+from edtorch.interact import Budget, Training
+from edtorch.learner import Learner
+from edtorch.models import DerivativeModel, NextStateModel
+from edtorch.policies import LinearPolicy
+from edtorch.rewards import QuadraticReward
+from edtorch.transform import MeanOnly
+from edtorch.unroll import Generic, Horizon
+from edtorch.update import SaturatedStep
+from edtorch.world import World
+from sims.base import Sim
+from sims.bicycle import Bicycle
+
+
+def normal(generator: torch.Generator, *shape: int) -> Tensor:
+    """Standard normal float64 numbers."""
+    return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+
+def f64(numbers: Sequence[Any]) -> Tensor:
+    """A float64 tensor."""
+    return torch.tensor(numbers, dtype=torch.float64)
+
+
+def random_cost(generator: torch.Generator, n: int) -> Tensor:
+    """A positive definite matrix."""
+    root = normal(generator, n, n)
+    return root @ root.T / n
+
+
+@dataclass(frozen=True)
+class LinearCase:
+    """A random linear problem for a batch of learners, in both paths."""
+
+    generic: Generic
+    closed: LinearMeanOnly
+    model: dict[str, Tensor]
+    policy: dict[str, Tensor]
+    noise: Tensor
+    state: Tensor
+
+
+def linear_case(
+    n: int, m: int, steps: int, *, batch: int = 3, discount: float = 0.97, action_cost: bool = False
+) -> LinearCase:
+    """A derivative model of n states and m actions, random and mildly unstable."""
+    g = torch.Generator().manual_seed(1000 * n + 10 * m + steps)
+    model = DerivativeModel(n, m, Identity(n + m), torch.zeros(n, dtype=torch.float64))
+    policy = LinearPolicy(n, m, Identity(n))
+    R = random_cost(g, m) if action_cost else torch.zeros(m, m, dtype=torch.float64)
+    reward = QuadraticReward(random_cost(g, n), R)
+    horizon = Horizon(steps, 0.05, discount, 0.05)
+    paths = [
+        choose_path(wish, model, policy, reward, MeanOnly(), horizon).path
+        for wish in ("generic", "closed_form")
+    ]
+    assert isinstance(paths[0], Generic) and isinstance(paths[1], LinearMeanOnly)
+    return LinearCase(
+        generic=paths[0],
+        closed=paths[1],
+        model={"weight": normal(g, batch, n, n + m)},
+        policy={"weight": normal(g, batch, m, n)},
+        noise=torch.zeros(batch, n, n, dtype=torch.float64),
+        state=normal(g, batch, n),
+    )
+
+
+def bicycle_learner(
+    world: World, *, fit: Fit | None = None, wish: Wish = "auto", horizon: int = 30
+) -> Learner:
+    """The learner of section 4 with the faster rates, for the bicycle or any sim of its size."""
+    n, m = len(world.spec.state), len(world.spec.action)
+    model = DerivativeModel(n, m, Identity(n + m), world.period)
+    policy = LinearPolicy(n, m, Identity(n), world.dtype)
+    weights = torch.zeros(n, dtype=world.dtype)
+    weights[0] = 10 * world.spec.state[0].scale ** 2
+    weights[-1] = world.spec.state[-1].scale ** 2
+    reward = QuadraticReward(torch.diag(weights), torch.zeros(m, m, dtype=world.dtype))
+    steps = Horizon(horizon, 0.051, 1.0, 0.051)
+    return Learner(
+        model=model,
+        policy=policy,
+        fit=fit or SquaredError(10.0),
+        noise=None,
+        value=choose_path(wish, model, policy, reward, MeanOnly(), steps).path,
+        step_rule=SaturatedStep(0.3, 1.0),
+        exploration=0.05,
+    )
+
+
+def bicycle_training(
+    seeds: list[int], budget: Budget, *, sim: Sim | None = None, fit: Fit | None = None
+) -> Training:
+    """Learners on the bicycle."""
+    world = World(sim or Bicycle())
+    return Training(bicycle_learner(world, fit=fit), world, seeds, budget)
+
+
+def next_state_model(n: int, m: int) -> NextStateModel:
+    """Figure 1's model, linear in state and action."""
+    return NextStateModel(n, m, Identity(n + m), torch.zeros(n, dtype=torch.float64))

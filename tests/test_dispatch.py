@@ -1,0 +1,47 @@
+"""Which path is taken, and that it says why."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from edtorch.closed_form import LinearMeanOnly
+from edtorch.dispatch import choose_path
+from edtorch.features import Affine, Identity
+from edtorch.models import DerivativeModel
+from edtorch.policies import LinearPolicy, SquashedPolicy
+from edtorch.rewards import QuadraticReward
+from edtorch.transform import FirstOrder, MeanOnly, Transform
+from edtorch.unroll import Generic, Horizon
+
+HORIZON = Horizon(5, 0.05, 1.0, 0.05)
+REWARD = QuadraticReward(torch.eye(2).double(), torch.zeros(1, 1).double())
+PERIOD = torch.zeros(2, dtype=torch.float64)
+LINEAR = DerivativeModel(2, 1, Identity(3), PERIOD)
+AFFINE = DerivativeModel(2, 1, Affine(3), PERIOD)
+PLAIN = LinearPolicy(2, 1, Identity(2))
+
+
+def test_linear_loops_get_the_closed_form() -> None:
+    choice = choose_path("auto", LINEAR, PLAIN, REWARD, MeanOnly(), HORIZON)
+    assert isinstance(choice.path, LinearMeanOnly) and "closed form" in choice.reason
+    choice = choose_path("generic", LINEAR, PLAIN, REWARD, MeanOnly(), HORIZON)
+    assert isinstance(choice.path, Generic) and "asked for" in choice.reason
+
+
+@pytest.mark.parametrize(
+    ("model", "policy", "reward", "transform", "why"),
+    [
+        (AFFINE, PLAIN, REWARD, MeanOnly(), "the model is not linear"),
+        (LINEAR, SquashedPolicy(2, 1, Identity(2)), REWARD, MeanOnly(), "the policy is not linear"),
+        (LINEAR, PLAIN, lambda s, a: -s[..., 0].cos(), MeanOnly(), "the reward is not quadratic"),
+        (LINEAR, PLAIN, REWARD, FirstOrder(), "propagates the covariance"),
+    ],
+)
+def test_everything_else_gets_the_generic_path(
+    model: DerivativeModel, policy: LinearPolicy, reward, transform: Transform, why: str
+) -> None:
+    choice = choose_path("auto", model, policy, reward, transform, HORIZON)
+    assert isinstance(choice.path, Generic) and why in choice.reason
+    with pytest.raises(ValueError, match=why):
+        choose_path("closed_form", model, policy, reward, transform, HORIZON)
