@@ -97,9 +97,9 @@ def test_figure_1_by_hand_in_one_dimension() -> None:
 @pytest.mark.oracle
 def test_figure_1_learns_the_system_its_noise_and_to_regulate() -> None:
     world = World(LinearSystem([[1.0]], [[0.5]], noise=0.1, start=1.0, time_limit=20.0))
-    learner = figure1_learner(0.1, 0.02, 0.02, Horizon(5, 1.0, 0.9, 1.0))
+    learner = figure1_learner(0.1, 0.02, 0.2, Horizon(3, 1.0, 0.9, 1.0))
     training = Training(
-        replace(learner, exploration=0.3), world, [0, 1, 2, 3], Budget(seconds=800.0)
+        replace(learner, exploration=0.3), world, [0, 1, 2, 3], Budget(seconds=500.0)
     )
     while not training.done:
         training.advance(500)
