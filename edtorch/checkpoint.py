@@ -66,7 +66,14 @@ def load_training(path: Path, training: Training) -> None:
     try:
         content = torch.load(path, weights_only=True)
         seeds, learners, worlds = content["seeds"], content["learners"], content["worlds"]
-    except (OSError, RuntimeError, pickle.UnpicklingError, EOFError, LookupError, TypeError) as error:
+    except (
+        OSError,
+        RuntimeError,
+        pickle.UnpicklingError,
+        EOFError,
+        LookupError,
+        TypeError,
+    ) as error:
         raise FileProblem(f"{path}: not a saved population") from error
     if seeds != training.seeds:
         raise FileProblem(f"{path}: saved for seeds {seeds}, expected {training.seeds}")

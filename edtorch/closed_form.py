@@ -3,13 +3,14 @@ r"""The value of a linear closed loop under a quadratic reward, exactly, by recu
 With s' = A s, A = F + G theta, and r = -s'(Q + theta'R theta)s the unroll is a chain of matrix
 products, and its gradient follows from the adjoint
 
-    lambda_T = q_T,  lambda_tau = q_tau + A' lambda_{tau+1},  q_tau = -2 w_tau (Q + theta'R theta) s_tau,
+    q_tau = -2 w_tau (Q + theta'R theta) s_tau,
+    lambda_T = q_T,  lambda_tau = q_tau + A' lambda_{tau+1},
     dV/dA = sum_tau lambda_tau s_{tau-1}',
     dV/dtheta = G' dV/dA - 2 R theta sum_tau w_tau s_tau s_tau'.
 
 Both sequences are built by doubling: with the powers A, A^2, A^4, ... all T states come from about
-log2(T) products (s_{j+k} = A^k s_j), and so do all adjoints (lambda_tau += A'^k lambda_{tau+k}; after
-the step with k each lambda_tau holds 2k terms).
+log2(T) products (s_{j+k} = A^k s_j), and so do all adjoints (lambda_tau += A'^k lambda_{tau+k};
+after the step with k each lambda_tau holds 2k terms).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.models import LinearModel
+from edtorch.models import Model
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.types import Parameters
@@ -69,9 +70,9 @@ def mean_value_and_gradient(
 ) -> tuple[Tensor, Tensor]:
     """V = -sum_tau w_tau s_tau'(Q + theta'R theta)s_tau along s' = (F + G theta) s, and dV/dtheta.
 
-    F ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start ``[B, n]``, state_cost Q ``[n, n]``,
-    action_cost R ``[m, m]`` or None for zero, weights w ``[T]``.  Returns V ``[B]`` and its gradient
-    ``[B, m, n]``.
+    F ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start ``[B, n]``, state_cost Q
+    ``[n, n]``, action_cost R ``[m, m]`` or None for zero, weights w ``[T]``.  Returns V ``[B]`` and
+    its gradient ``[B, m, n]``.
     """
     steps = len(weights)
     cost = state_cost.expand(F.shape)
@@ -97,7 +98,7 @@ def mean_value_and_gradient(
 class LinearMeanOnly:
     """A ``ValuePath`` for linear model and policy, quadratic reward, mean-only transform."""
 
-    model: LinearModel
+    model: Model
     policy: LinearPolicy
     reward: QuadraticReward
     horizon: Horizon

@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 
 from edtorch.closed_form import LinearMeanOnly
-from edtorch.models import LinearModel
+from edtorch.models import Model
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward, Reward
 from edtorch.transform import Transform
@@ -27,7 +27,7 @@ class Choice:
 
 def choose_path(
     wish: Wish,
-    model: LinearModel,
+    model: Model,
     policy: LinearPolicy,
     reward: Reward,
     transform: Transform,

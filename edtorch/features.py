@@ -1,8 +1,8 @@
 """Feature maps phi: ``[*batch, d] -> [*batch, k]``, what models and policies are linear in.
 
-A map knows its sizes (``inputs`` d, ``outputs`` k), so that weights can be laid out before the first
-state is seen.  ``Identity`` is the paper's choice for the bicycle ("the features were simply the state
-and action variables themselves", section 4).
+A map knows its sizes (``inputs`` d, ``outputs`` k), so that weights can be laid out before the
+first state is seen.  ``Identity`` is the paper's choice for the bicycle ("the features were simply
+the state and action variables themselves", section 4).
 """
 
 from __future__ import annotations
@@ -80,8 +80,9 @@ class Trigonometric(FeatureMap):
 
 
 class RandomFourier(FeatureMap):
-    """phi(x) = (1, x, sqrt(2 / K) cos(omega x + b)), omega ~ N(0, 1 / lengthscale^2), b ~ U(0, 2 pi).
+    """phi(x) = (1, x, sqrt(2 / K) cos(omega x + b)), omega ~ N(0, 1 / lengthscale^2).
 
+    The phases b are uniform on the circle.
     The cosines' inner products approach a squared-exponential kernel (Rahimi & Recht, 2007).
     """
 

@@ -2,8 +2,8 @@
 
 Each rule is a frozen dataclass with ``initial`` (its memory, per learner) and ``update``, a pure
 function of the weights ``[*batch, n, k]``, that memory, the regressor phi ``[*batch, k]`` and the
-target y ``[*batch, n]``.  ``unit`` is what a rate is multiplied with: the tick in seconds for models of
-the derivative, 1 for models of the next state.
+target y ``[*batch, n]``.  ``unit`` is what a rate is multiplied with: the tick in seconds for
+models of the derivative, 1 for models of the next state.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from edtorch.types import Parameters
 
 @dataclass(frozen=True)
 class Fitted:
-    """Result of one update: weights, the rule's memory, the residual y - W phi before the update."""
+    """Result of one update: weights, the rule's memory, and y - W phi before the update."""
 
     weight: Tensor
     memory: Parameters
@@ -126,11 +126,12 @@ class NormalisedSquaredError:
 
 @dataclass(frozen=True)
 class RecursiveLeastSquares:
-    """Least squares of all data so far, one sample at a time (Ljung, "System Identification", ch. 11).
+    """Least squares of all data so far, one sample at a time.
 
+    After Ljung, "System Identification", chapter 11.
     P starts at ``prior`` I (the weights' prior covariance over the noise variance); ``forgetting``
-    lambda in (0, 1] weighs a sample of k steps ago with lambda^k.  With lambda = 1 the result equals
-    ridge regression with the penalty 1 / prior.
+    lambda in (0, 1] weighs a sample of k steps ago with lambda^k.  With lambda = 1 the result
+    equals ridge regression with the penalty 1 / prior.
     """
 
     prior: float = 1000.0
@@ -151,7 +152,7 @@ class RecursiveLeastSquares:
     def update(
         self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
     ) -> Fitted:
-        """Gain g = P phi / (lambda + phi' P phi); W += (y - W phi) g'; P = (P - g phi' P) / lambda."""
+        """W += (y - W phi) g', P = (P - g phi' P) / lambda, g = P phi / (lambda + phi' P phi)."""
         P = memory["P"]
         residual = y - matvec(weight, phi)
         projected = matvec(P, phi)

@@ -52,8 +52,8 @@ class Episode:
     """One finished episode of one learner (or of one evaluated policy).
 
     row: the learner's place in the population; start: simulated seconds of learning before it;
-    seconds: its length; measures: the sim's own figures of it; trail: first and last index (exclusive)
-    of its states in the ``Trail``.
+    seconds: its length; measures: the sim's own figures of it; trail: first and last index
+    (exclusive) of its states in the ``Trail``.
     """
 
     row: int
@@ -107,7 +107,7 @@ class Snapshot:
 
 
 class Trail:
-    """Recent states of every world, every ``stride`` ticks: a ring of ``capacity`` rows a learner."""
+    """Recent states of every world, each ``stride`` ticks: a ring of ``capacity`` rows."""
 
     def __init__(self, world: Tensor, stride: int, capacity: int) -> None:
         self.stride = stride

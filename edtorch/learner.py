@@ -1,7 +1,7 @@
 """One tick of learning as a pure function (Fig. 1).
 
-``Learner.step(state, transition) -> (state, metrics)`` does no I/O, reads no globals and never asks a
-tensor for its number; trouble comes back as flags.  That one property gives populations, exact
+``Learner.step(state, transition) -> (state, metrics)`` does no I/O, reads no globals and never asks
+a tensor for its number; trouble comes back as flags.  That one property gives populations, exact
 resumption and tests.
 """
 
@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.func import functional_call
 
 from edtorch.fit import Fit
-from edtorch.models import DerivativeModel, NextStateModel
+from edtorch.models import Model
 from edtorch.policies import LinearPolicy, explore
 from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
 from edtorch.unroll import ValuePath
@@ -85,7 +85,7 @@ class Learner:
     noise: rule for nu~, None where the transform does not use it.
     """
 
-    model: DerivativeModel | NextStateModel
+    model: Model
     policy: LinearPolicy
     fit: Fit
     noise: ResidualNoise | None
@@ -122,8 +122,8 @@ class Learner:
     def step(self, state: LearnerState, transition: Transition) -> tuple[LearnerState, Metrics]:
         """Steps 1-7 of Fig. 1 after one transition of each learner.
 
-        Learners whose transition is not ``valid`` are left as they are.  An update that would not be
-        finite is skipped: see ``Check``.
+        Learners whose transition is not ``valid`` are left as they are.  An update that would not
+        be finite is skipped: see ``Check``.
         """
         unit = self.model.time_unit(transition.dt)
         sound = _finite(transition.next_state)

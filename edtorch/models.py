@@ -1,7 +1,7 @@
 """Models mu~ of the next state, linear in features, in the paper's two forms.
 
-``NextStateModel``: s' = W phi(s, a) (Fig. 1).  ``DerivativeModel``: ds/dt = W phi(s, a), integrated by
-an Euler step of any length (section 4).  Both are fitted by a rule of ``edtorch.fit`` to pairs
+``NextStateModel``: s' = W phi(s, a) (Fig. 1).  ``DerivativeModel``: ds/dt = W phi(s, a), integrated
+by an Euler step of any length (section 4).  Both are fitted by a rule of ``edtorch.fit`` to pairs
 (regressor phi, target y) that they make of transitions.
 """
 
@@ -32,8 +32,8 @@ class LinearModel(nn.Module):
     """W phi(s, a), with ``weight`` W ``[n, k]`` that starts at zero.
 
     states n, actions m; features: a map of n + m inputs (the state, then the action);
-    period ``[n]``: that of the components that are angles, 0 elsewhere, in scaled units.  The module
-    is a template: a learner calls it with parameters ``[B, n, k]`` of a whole population.
+    period ``[n]``: that of the components that are angles, 0 elsewhere, in scaled units.  The
+    module is a template: a learner calls it with parameters ``[B, n, k]`` of a whole population.
     """
 
     period: Tensor
@@ -80,7 +80,7 @@ class DerivativeModel(LinearModel):
     """ds/dt = W phi(s, a) (section 4); rates and noise are per second."""
 
     def time_unit(self, dt: Tensor) -> Tensor:
-        """What a rate of the configuration is multiplied with for one update: the tick's seconds."""
+        """What a rate of the configuration is multiplied with in one update: the seconds."""
         return dt
 
     def target(self, transition: Transition) -> Tensor:
@@ -96,7 +96,7 @@ class DerivativeModel(LinearModel):
         return noise * dt
 
     def residual_noise(self, residual: Tensor, dt: Tensor) -> Tensor:
-        """Step 2 of Fig. 1: e e' dt, the increments' squared error per second, ``[*batch, n, n]``."""
+        """Step 2 of Fig. 1: e e' dt, squared error per second, ``[*batch, n, n]``."""
         return residual.unsqueeze(-1) * residual.unsqueeze(-2) * dt
 
     def linear_dynamics(self, weight: Tensor, dt: float) -> LinearDynamics | None:
@@ -109,10 +109,10 @@ class DerivativeModel(LinearModel):
 
 
 class NextStateModel(LinearModel):
-    """s' = W phi(s, a) (Fig. 1); rates and noise are per step, and a step of the unroll is a tick."""
+    """s' = W phi(s, a) (Fig. 1); rates and noise are per step, and the unroll steps by the tick."""
 
     def time_unit(self, dt: Tensor) -> Tensor:
-        """What a rate of the configuration is multiplied with for one update: 1."""
+        """What a rate of the configuration is multiplied with in one update: 1."""
         return torch.ones_like(dt)
 
     def target(self, transition: Transition) -> Tensor:
@@ -134,3 +134,7 @@ class NextStateModel(LinearModel):
     def linear_dynamics(self, weight: Tensor, dt: float) -> LinearDynamics | None:
         """W_s and W_a where the features are the variables themselves, else None."""
         return self._linear_parts(weight)
+
+
+Model = DerivativeModel | NextStateModel
+"""Either form."""

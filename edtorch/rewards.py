@@ -16,7 +16,7 @@ StateFunction = Callable[[Tensor], Tensor]
 
 
 class Reward(Protocol):
-    """r(s, a): states ``[*batch, n]`` and actions ``[*batch, m]`` in scaled units -> ``[*batch]``."""
+    """r(s, a), ``[*batch]``, of states ``[*batch, n]`` and actions ``[*batch, m]``, scaled."""
 
     def __call__(self, state: Tensor, action: Tensor) -> Tensor:
         """The reward of each row."""
@@ -55,8 +55,8 @@ class QuadraticReward:
 def rowwise_jacobian(function: StateFunction, state: Tensor) -> Tensor:
     """Jacobian of a row-by-row ``function`` at each row of ``state`` by ``torch.func.jacrev``.
 
-    state ``[*batch, n]``, function ``[*batch, n] -> [*batch, p]``; returns ``[*batch, p, n]``.  Rows do
-    not mix, so the Jacobian of the sum over rows holds every row's own Jacobian.
+    state ``[*batch, n]``, function ``[*batch, n] -> [*batch, p]``; returns ``[*batch, p, n]``.
+    Rows do not mix, so the Jacobian of the sum over rows holds every row's own Jacobian.
     """
 
     def summed(x: Tensor) -> Tensor:

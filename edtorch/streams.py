@@ -2,8 +2,8 @@
 
 Each learner has a stream of its own: NumPy's counter-based Philox generator with the key
 (seed, purpose) and the number of a block of ticks as its counter (Salmon et al., "Parallel random
-numbers: as easy as 1, 2, 3", 2011).  Nothing has to be saved to continue a stream, and learner k of a
-population draws what it would draw alone.
+numbers: as easy as 1, 2, 3", 2011).  Nothing has to be saved to continue a stream, and learner k of
+a population draws what it would draw alone.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ class Transition:
 
 @tree_dataclass
 class Belief:
-    """Mean ``[*batch, n]`` and covariance ``[*batch, n, n]`` of a state: a state of M' (section 3)."""
+    """Mean ``[*batch, n]`` and covariance ``[*batch, n, n]``: a state of M' (section 3)."""
 
     mean: Tensor
     cov: Tensor
@@ -91,7 +91,8 @@ class Metrics:
     """What one learner step reports, each ``[B]`` but for the last.
 
     value: V~ before the step; gradient: |dV~/dtheta|; error: mean over state components of
-    |target - prediction| before the fit; finite ``[3, B]``: by place, see ``edtorch.learner.Check``.
+    |target - prediction| before the fit; finite ``[3, B]``: by place, see
+    ``edtorch.learner.Check``.
     """
 
     value: Tensor

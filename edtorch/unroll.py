@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.func import functional_call, grad_and_value
 
-from edtorch.models import LinearModel
+from edtorch.models import Model
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import Reward, StateFunction
 from edtorch.transform import Transform, point_belief
@@ -111,7 +111,7 @@ class Generic:
     values is each one's own gradient.
     """
 
-    model: LinearModel
+    model: Model
     policy: LinearPolicy
     reward: Reward
     transform: Transform

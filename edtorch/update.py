@@ -45,7 +45,7 @@ def _ascend(policy: Parameters, gradient: Parameters, rate: Tensor) -> Parameter
 
 @dataclass(frozen=True)
 class SaturatedStep:
-    """theta += alpha unit g / (beta + |g|) (section 4): bounded far away, gradient ascent near by."""
+    """theta += alpha unit g / (beta + |g|) (section 4): bounded far away, plain ascent near by."""
 
     alpha: float
     beta: float

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -74,10 +76,10 @@ def test_policies_come_back_as_they_went(tmp_path: Path) -> None:
     ],
 )
 def test_a_policy_for_something_else_is_refused(
-    tmp_path: Path, field: str, value: object, message: str
+    tmp_path: Path, field: str, value: Any, message: str
 ) -> None:
     save_policy(tmp_path / "p.safetensors", {"weight": torch.zeros(2, 1, 1)}, CARD)
-    expected = PolicyCard(**(vars(CARD) | {field: value}))
+    expected = replace(CARD, **{field: value})
     with pytest.raises(FileProblem, match=message):
         load_policy(tmp_path / "p.safetensors", expected, SHAPES)
 

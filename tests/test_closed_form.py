@@ -1,4 +1,5 @@
-"""The closed form for linear loops equals the generic path, and the recursions what they stand for."""
+"""The closed form for linear loops equals the generic path, and the recursions what they stand
+for."""
 
 from __future__ import annotations
 
@@ -8,7 +9,16 @@ import torch
 from edtorch.closed_form import adjoint_states, forward_states, powers_of_two
 from tests.systems import linear_case, normal
 
-SIZES = [(5, 2, 30), (5, 2, 1), (5, 2, 2), (5, 2, 3), (7, 3, 17), (4, 1, 64), (14, 5, 33), (1, 1, 5)]
+SIZES = [
+    (5, 2, 30),
+    (5, 2, 1),
+    (5, 2, 2),
+    (5, 2, 3),
+    (7, 3, 17),
+    (4, 1, 64),
+    (14, 5, 33),
+    (1, 1, 5),
+]
 
 
 @pytest.mark.oracle

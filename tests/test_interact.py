@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 import torch
 
@@ -93,7 +95,7 @@ def test_episodes_follow_one_another_without_gaps() -> None:
     for row in (0, 1):
         own = [e for e in training.episodes if e.row == row]
         assert [e.number for e in own] == list(range(len(own)))
-        for before, after in zip(own, own[1:], strict=False):
+        for before, after in itertools.pairwise(own):
             assert after.start == pytest.approx(before.start + before.seconds)
             assert after.trail[0] == before.trail[1]
 

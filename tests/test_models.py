@@ -9,14 +9,14 @@ import torch
 from torch.func import jacrev
 
 from edtorch.features import Affine, Identity
-from edtorch.models import DerivativeModel, LinearModel, NextStateModel
+from edtorch.models import DerivativeModel, Model, NextStateModel
 from edtorch.types import Transition
 from tests.systems import normal
 
 DT = torch.tensor(0.01, dtype=torch.float64)
 
 
-def make(kind: type[LinearModel], *, period: float = 0.0) -> LinearModel:
+def make(kind: type[Model], *, period: float = 0.0) -> Model:
     periods = torch.tensor([0.0, period], dtype=torch.float64)
     return kind(2, 1, Identity(3), periods)
 
@@ -47,7 +47,7 @@ def test_targets_of_the_two_forms() -> None:
 
 
 @pytest.mark.parametrize("kind", [DerivativeModel, NextStateModel])
-def test_linear_dynamics_are_the_jacobians(kind: type[LinearModel]) -> None:
+def test_linear_dynamics_are_the_jacobians(kind: type[Model]) -> None:
     model = make(kind)
     g = torch.Generator().manual_seed(0)
     weight, s, a = normal(g, 2, 3), normal(g, 2), normal(g, 1)
@@ -55,7 +55,7 @@ def test_linear_dynamics_are_the_jacobians(kind: type[LinearModel]) -> None:
     def advance(state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         return torch.func.functional_call(model, {"weight": weight}, (state, action, 0.05))
 
-    dynamics = model.linear_dynamics(weight, 0.05)  # pyright: ignore[reportAttributeAccessIssue]
+    dynamics = model.linear_dynamics(weight, 0.05)
     assert dynamics is not None
     assert torch.allclose(dynamics.state, jacrev(advance, argnums=0)(s, a), rtol=1e-13)
     assert torch.allclose(dynamics.action, jacrev(advance, argnums=1)(s, a), rtol=1e-13)

@@ -33,7 +33,9 @@ def test_actions_reach_the_sim_in_its_own_units() -> None:
     scaled = torch.tensor([[0.5, -1.0], [0.0, 0.25]], dtype=torch.float64)
     uniform = torch.full((2, 2), 0.7).double()
     physical = scaled * torch.tensor([2.0, 0.02], dtype=torch.float64)
-    assert torch.equal(world.step(state, scaled, uniform), sim.step(state, physical, uniform[:, :1]))
+    assert torch.equal(
+        world.step(state, scaled, uniform), sim.step(state, physical, uniform[:, :1])
+    )
 
 
 def test_the_time_limit_ends_an_episode_that_nothing_else_ended() -> None:

@@ -10,7 +10,6 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from edtorch.app.errors import ConfigError, under, unknown_key
 
-
 _GATHERING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
@@ -19,7 +18,8 @@ def known_keys(group: str, config: DictConfig, known: set[str]) -> None:
     for key in config:
         if str(key) not in known:
             name, value = f"{group}.{key}", config._get_node(key)
-            raise ConfigError(unknown_key(f"{name}={value}", name, sorted(known - {"_target_"})))
+            settable = sorted(k for k in known if not k.startswith("_"))
+            raise ConfigError(unknown_key(f"{name}={value}", name, settable))
 
 
 def _target(group: str, config: Any) -> Any:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
@@ -40,6 +40,7 @@ EXPECTED = (ConfigError, NotARun, FileProblem, HydraException, OmegaConfBaseExce
 
 
 _OPTION = re.compile(r"(?!(null|true|false)$)[A-Za-z_][\w./-]*|\[.*\]")
+_SEARCHED = ("Config search path", "provider=", "See http")
 _KINDS = {"Integer": "an integer", "Float": "a number", "Boolean": "true or false"}
 
 
@@ -105,6 +106,10 @@ def one_line(error: BaseException) -> str:
         group, _, option = (error.missing_cfg_file or "").rpartition("/")
         known = ", ".join(name for name in error.options if not name.endswith("_schema"))
         return f"{group}={option}: expected one of {known}"
+    if isinstance(error, OverrideParseException):
+        return f"{error.override}: expected KEY=VALUE ({'; '.join(lines[1:2])})"
+    if isinstance(error, HydraException):
+        lines = [line for line in lines if not line.startswith(_SEARCHED)]
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return " ".join(" ".join(lines).split()) or type(error).__name__
@@ -187,4 +192,6 @@ def guarded(command: str, run: Callable[[], None]) -> int:
 def no_such_folder(folder: Path, wanted: str) -> NotARun:
     """The error for a folder that lacks ``wanted``."""
     state = f"has no {wanted}" if folder.is_dir() else "does not exist"
+    if folder.is_file():
+        state = "is a file"
     return NotARun(f"run={folder}: expected the folder of a run, but it {state}")

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
+from importlib.resources import files
 from pathlib import Path
-from types import FrameType
 from typing import cast
 
 import hydra
 import torch
 from omegaconf import DictConfig, OmegaConf
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
@@ -19,18 +19,19 @@ from edtorch.app import schemas
 from edtorch.app.build import build_policy, build_precision, build_sim, policy_card
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing, unknown_key
-from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
+from edtorch.app.rundir import CONFIG, POLICY, command_line, json_text, load_config, versions
+from edtorch.app.signals import Stop
 from edtorch.checkpoint import FileProblem, load_policy, write_text
 from edtorch.interact import Episode, evaluate
 from edtorch.report.statistics import evaluation_figures
 from edtorch.world import World
 
 
-def _domain(run_config: DictConfig, changes: DictConfig) -> DictConfig:
+def _domain(folder: Path, run_config: DictConfig, changes: DictConfig) -> DictConfig:
     """The run's domain with the changes asked for; unknown keys are refused."""
     domain = run_config.domain
     if not isinstance(domain, DictConfig):
-        raise FileProblem(f"config.yaml: domain={domain}: expected a mapping with a _target_")
+        raise FileProblem(f"{folder / CONFIG}: domain={domain}: expected a mapping with a _target_")
     known = sorted(str(key) for key in domain if key != "_target_")
     for key, value in changes.items():
         if key not in domain:
@@ -41,7 +42,9 @@ def _domain(run_config: DictConfig, changes: DictConfig) -> DictConfig:
 
 def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
     figures = evaluation_figures(episodes)
-    table = Table(title="fresh episodes, no exploration", title_justify="left")
+    table = Table(
+        title="fresh episodes, no exploration", title_justify="left", box=SIMPLE, padding=(0, 1)
+    )
     columns = (
         ("seed", None, 0),
         ("goal rate", "goal_rate", 3),
@@ -63,7 +66,7 @@ def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
 
 
 def _task(config: DictConfig) -> float:
-    with refusing(config.debug):
+    with Stop().listening(), refusing(config.debug):
         return _evaluate(config)
 
 
@@ -84,7 +87,7 @@ def _evaluate(config: DictConfig) -> float:
             else ConfigError(f"policy={path}: no such file")
         )
     dtype = build_precision(run_config.compute)
-    sim = build_sim(_domain(run_config, config.domain))
+    sim = build_sim(_domain(folder, run_config, config.domain))
     world = World(sim, dtype)
     policy = build_policy(run_config.policy, sim, dtype, run_config.seed)
     seeds = [run_config.seed + k for k in range(run_config.seeds)]
@@ -117,15 +120,12 @@ def _evaluate(config: DictConfig) -> float:
     return float(result["goal_rate"]["median"])
 
 
-def _terminate(signum: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
-
 def main() -> None:
     """Entry point of ``edtorch-eval``."""
     schemas.register()
-    signal.signal(signal.SIGTERM, _terminate)
-    run = hydra.main(version_base="1.3", config_path="pkg://conf", config_name="evaluate")(_task)
+    # A folder of its own: beside the groups of edtorch-train, "policy=..." would name one of them.
+    folder = str(files("conf") / "evaluate")
+    run = hydra.main(version_base="1.3", config_path=folder, config_name="evaluate")(_task)
     sys.exit(guarded("edtorch-eval", run))
 
 

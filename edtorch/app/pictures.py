@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from torch import Tensor
 
 from edtorch.interact import Episode, Training
 from edtorch.report.animation import save_animation
 from edtorch.report.figures import Ride, learning_curve, save_figure
 from sims.base import Pictured
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """The episode that is shown: its states ``[T, k]``, its length in seconds, its name."""
+
+    states: Tensor
+    seconds: float
+    title: str
 
 
 def last_ride(training: Training) -> Episode | None:
@@ -19,28 +30,40 @@ def last_ride(training: Training) -> Episode | None:
     return max(rides, key=lambda e: (e.start + e.seconds, -e.row)) if rides else None
 
 
-def _headline(training: Training, episode: Episode) -> Ride:
+def _shown(training: Training) -> _Shown | None:
+    """The last ride or episode; the first learner's unfinished one where none has ended yet."""
+    episode = last_ride(training)
+    if episode is None:
+        states = training.trail.states(0, 0, training.trail.position(0))
+        title = f"seed {training.seeds[0]}, the first episode so far"
+        seconds = training.seconds
+    else:
+        states = training.trail.states(episode.row, *episode.trail)
+        seed, number = training.seeds[episode.row], episode.number + 1
+        title = f"seed {seed}, episode {number}, after {episode.start:.0f} s of training"
+        seconds = episode.seconds
+    return _Shown(states, seconds, title) if len(states) > 1 else None
+
+
+def _headline(training: Training, shown: _Shown) -> Ride:
     spec, sim = training.world.spec, training.world.sim
     index = [q.name for q in spec.state].index(spec.headline)
-    states = training.trail.states(episode.row, *episode.trail)
-    values = sim.observe(states)[:, index].numpy()
+    values = sim.observe(shown.states)[:, index].numpy()
     step = training.trail.stride * spec.dt
-    seconds = episode.seconds - step * np.arange(len(values))[::-1]
-    seed = training.seeds[episode.row]
-    title = f"seed {seed}, episode {episode.number + 1}, after {episode.start:.0f} s of training"
-    return Ride(seconds, values, spec.headline, spec.state[index].unit, title)
+    seconds = shown.seconds - step * np.arange(len(values))[::-1]
+    quantity = spec.state[index]
+    return Ride(seconds, values, quantity.name, quantity.unit, shown.title, quantity.period)
 
 
 def draw(training: Training, folder: Path, *, animate: bool) -> Figure:
     """Write ``learning_curve.png``, ``.svg`` and, if the sim can draw itself, ``ride.webp``."""
-    episode = last_ride(training)
-    has_trail = episode is not None and episode.trail[1] - episode.trail[0] > 1
-    ride = _headline(training, episode) if episode is not None and has_trail else None
-    title = f"{training.world.spec.name}: {len(training.seeds)} learners"
-    figure = learning_curve(training.episodes, len(training.seeds), ride, title)
+    shown = _shown(training)
+    ride = _headline(training, shown) if shown is not None else None
+    size = len(training.seeds)
+    title = f"{training.world.spec.name}: {size} learner{'s' if size > 1 else ''}"
+    figure = learning_curve(training.episodes, size, ride, title)
     save_figure(figure, folder, "learning_curve")
     sim = training.world.sim
-    if animate and episode is not None and has_trail and isinstance(sim, Pictured):
-        states = training.trail.states(episode.row, *episode.trail)
-        save_animation(sim, states, folder / "ride.webp")
+    if animate and shown is not None and isinstance(sim, Pictured):
+        save_animation(sim, shown.states, folder / "ride.webp")
     return figure

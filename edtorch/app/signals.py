@@ -16,10 +16,11 @@ class Interrupted(KeyboardInterrupt):
 
 
 class Stop:
-    """Whether a signal has come, for a loop that looks after each piece of work.
+    """Whether a signal has come.
 
-    A signal interrupts at once (KeyboardInterrupt), but for two places: ``between_ticks`` the first
-    one only sets ``asked``, so that no tick is left half done; ``not_now`` it is ignored.
+    It interrupts at once (KeyboardInterrupt), but for two places: ``between_ticks`` the first one
+    only sets ``asked``, so that no tick is left half done; ``not_now`` any does.  What follows an
+    interruption is saving, so that from then on signals are ignored.
     """
 
     def __init__(self) -> None:
@@ -28,11 +29,11 @@ class Stop:
         self._deaf = False
 
     def _handle(self, signum: int, frame: FrameType | None) -> None:
-        if self._deaf:
-            return
-        if self._patient and not self.asked:
+        being_honoured = self.asked and not self._patient
+        if self._deaf or being_honoured or (self._patient and not self.asked):
             self.asked = True
             return
+        self.asked, self._patient = True, False
         raise KeyboardInterrupt
 
     @contextmanager
@@ -59,7 +60,7 @@ class Stop:
 
     @contextmanager
     def not_now(self) -> Iterator[None]:
-        """Signals are ignored: what is written here is written to the end."""
+        """Signals wait until after the block: what is written here is written to the end."""
         self._deaf = True
         try:
             yield

@@ -227,7 +227,8 @@ def _run(config: DictConfig, folder: RunFolder, stop: Stop, began: float) -> dic
         with stop.not_now(), contextlib.suppress(OSError):
             folder.set_status("failed", f"{type(error).__name__}: {error}")
         raise
-    folder.set_status("done")
+    with stop.not_now():
+        folder.set_status("done")
     return summary
 
 

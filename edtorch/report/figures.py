@@ -24,13 +24,27 @@ MARKS = {
 
 @dataclass(frozen=True)
 class Ride:
-    """One state component along one episode: seconds ``[T]``, values ``[T]`` in ``unit``."""
+    """One state component along one episode: seconds ``[T]``, values ``[T]`` in ``unit``.
+
+    period: that of an angle that wraps, else 0.
+    """
 
     seconds: np.ndarray
     values: np.ndarray
     name: str
     unit: str
     title: str
+    period: float = 0.0
+
+
+def unwrapped_strokes(
+    seconds: np.ndarray, values: np.ndarray, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The curve with a gap (NaN) wherever an angle wraps, so that no line crosses the circle."""
+    if period <= 0:
+        return seconds, values
+    wraps = np.flatnonzero(np.abs(np.diff(values)) > period / 2) + 1
+    return np.insert(seconds, wraps, seconds[wraps]), np.insert(values, wraps, math.nan)
 
 
 def learning_curve(episodes: Sequence[Episode], rows: int, ride: Ride | None, title: str) -> Figure:
@@ -43,7 +57,7 @@ def learning_curve(episodes: Sequence[Episode], rows: int, ride: Ride | None, ti
     FigureCanvasAgg(figure)
     panels = figure.subplots(2 if ride is not None else 1, 1, squeeze=False)
     _lengths(panels[0, 0], episodes, rows)
-    panels[0, 0].set_title(title)
+    figure.suptitle(title)
     if ride is not None:
         _one_ride(panels[1, 0], ride)
     return figure
@@ -84,22 +98,30 @@ def _lengths(axes, episodes: Sequence[Episode], rows: int) -> None:
             textcoords="offset points",
             fontsize=9,
         )
-    axes.set_yscale("log")
+    if episodes:
+        axes.set_yscale("log")
     axes.set_xlabel("simulated training time, s")
     axes.set_ylabel("length of episode, s")
     axes.grid(alpha=0.25)
     if episodes:
-        axes.legend(loc="lower right", fontsize=9)
+        # Above the plot, which the marks fill from the lower left to the upper right.
+        place = (0.5, 1.0)
+        axes.legend(loc="lower center", bbox_to_anchor=place, ncols=3, frameon=False, fontsize=9)
+    else:
+        axes.text(0.5, 0.5, "no episode has ended", transform=axes.transAxes, ha="center")
+        axes.set_yticks([])
 
 
 def _one_ride(axes, ride: Ride) -> None:
     degrees = ride.unit == "rad"
-    values = np.degrees(ride.values) if degrees else ride.values
-    axes.plot(ride.seconds, values, color="#2a6fb3", linewidth=1)
+    seconds, values = unwrapped_strokes(ride.seconds, ride.values, ride.period)
+    axes.plot(seconds, np.degrees(values) if degrees else values, color="#2a6fb3", linewidth=1)
     axes.axhline(0, color="#333333", linewidth=0.8)
     axes.set_title(ride.title, fontsize=10)
     axes.set_xlabel("time in the episode, s")
-    axes.set_ylabel(f"{ride.name.replace('_', ' ')}, {'degrees' if degrees else ride.unit}")
+    unit = "degrees" if degrees else ride.unit
+    label = ride.name.replace("_", " ")
+    axes.set_ylabel(f"{label}, {unit}" if unit != "1" else label)
     axes.grid(alpha=0.25)
 
 

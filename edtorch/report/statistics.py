@@ -87,6 +87,11 @@ def _median_or_none(values: Sequence[float]) -> float | None:
     return statistics.median(numbers) if numbers else None
 
 
+def _over_shortest(episode: Episode) -> float:
+    shortest = episode.measures.get("shortest_time_s", math.nan)
+    return episode.seconds / shortest if shortest > 0 else math.nan
+
+
 def evaluation_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]:
     """The figures of fresh episodes, per seed: the goal rate, the median of everything else.
 
@@ -107,12 +112,7 @@ def evaluation_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]
         "goal_time_s": Spread([_median_or_none([e.seconds for e in r]) for r in reached]).as_json(),
         "path_length_m": Spread(_measure(reached, "path_length_m")).as_json(),
         "goal_time_over_shortest": Spread(
-            [
-                _median_or_none(
-                    [e.seconds / e.measures.get("shortest_time_s", math.nan) for e in r]
-                )
-                for r in reached
-            ]
+            [_median_or_none([_over_shortest(e) for e in r]) for r in reached]
         ).as_json(),
         "episode_s": Spread(
             [_median_or_none([e.seconds for e in own]) for own in evaluated]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import warnings
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -150,7 +151,11 @@ def test_pendulum_as_a_sim() -> None:
 
 def test_termination_means_what_is_said() -> None:
     name, kwargs = "sims.gymnasium_env:edtorch/Bicycle-v0", {"goal_radius": 1001.0}
-    for termination, outcome in (("failure", Outcome.FAILED), ("success", Outcome.SUCCEEDED)):
+    meanings: tuple[tuple[Literal["failure", "success"], Outcome], ...] = (
+        ("failure", Outcome.FAILED),
+        ("success", Outcome.SUCCEEDED),
+    )
+    for termination, outcome in meanings:
         sim = GymnasiumSim(name, dt=0.01, time_limit=10, termination=termination, env_kwargs=kwargs)
         state = sim.initial(torch.zeros(1, 1).double())
         state = sim.step(state, torch.zeros(1, 2).double(), torch.zeros(1, 0).double())
@@ -173,7 +178,11 @@ def test_only_the_state_returned_last_goes_on() -> None:
 @pytest.mark.parametrize(
     ("name", "arguments", "message"),
     [
-        ("CartPole-v1", {"dt": 0.02}, "env_id=CartPole-v1: expected a one-dimensional Box as action"),
+        (
+            "CartPole-v1",
+            {"dt": 0.02},
+            "env_id=CartPole-v1: expected a one-dimensional Box as action",
+        ),
         ("MountainCarContinuous-v0", {}, "dt=None: expected"),
         ("MountainCarContinuous-v0", {"dt": -1.0}, "dt=-1.0: expected"),
         ("Pendulum-v1", {"time_limit": 0.0}, "time_limit=0.0: expected"),
