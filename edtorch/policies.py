@@ -31,7 +31,7 @@ class LinearPolicy(nn.Module):
         return matvec(self.weight, self.features(state))
 
     def linear_gain(self, weight: Tensor) -> Tensor | None:
-        """theta ``[*batch, m, n]`` if weights ``[*batch, m, k]`` mean pi(s) = theta s, else None."""
+        """theta ``[*batch, m, n]`` if the weights ``[*batch, m, k]`` mean pi(s) = theta s."""
         return weight if isinstance(self.features, Identity) else None
 
 
