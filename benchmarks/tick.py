@@ -46,12 +46,16 @@ def parts(size: int) -> dict[str, Callable[[], object]]:
     world, learners, here = training.world, training.learners, training.worlds
     uniform = torch.rand(size, world.uniforms, dtype=torch.float64)
     action = torch.zeros(size, 2, dtype=torch.float64)
-    arguments = (learners.model, learners.policy, learners.noise, here.observation)
+    model, policy, noise, state = (
+        learners.model,
+        learners.policy,
+        learners.noise,
+        here.observation,
+    )
     # Tensors of the loop are inference tensors, which cannot be differentiated: copies can.
-    copies = [
-        {k: v.clone() for k, v in a.items()} if isinstance(a, dict) else a.clone()
-        for a in arguments
-    ]
+    copied_model = {name: p.clone() for name, p in model.items()}
+    copied_policy = {name: p.clone() for name, p in policy.items()}
+    copied_noise, copied_state = noise.clone(), state.clone()
     return {
         "whole tick": lambda: training.advance(1),
         "simulator step": lambda: world.step(here.world, action, uniform),
@@ -59,13 +63,15 @@ def parts(size: int) -> dict[str, Callable[[], object]]:
             world.observe(here.world),
             world.outcome(here.world, training.clock - here.begun),
         ),
-        "value and gradient, closed form": lambda: setup.learner.value(*arguments),
-        "value and gradient, generic": lambda: setups["generic"].learner.value(*copies),
+        "value and gradient, closed form": lambda: setup.learner.value(model, policy, noise, state),
+        "value and gradient, generic": lambda: setups["generic"].learner.value(
+            copied_model, copied_policy, copied_noise, copied_state
+        ),
     }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="What a tick of learning costs, and where.")
     parser.add_argument("--sizes", type=int, nargs="+", default=[1, 8, 64, 256])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", type=Path)

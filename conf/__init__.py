@@ -1,0 +1,1 @@
+"""Hydra configuration of edtorch's commands, found by them as a package."""

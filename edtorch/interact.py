@@ -255,15 +255,15 @@ class Training:
     def _end_episodes(self, ended: Tensor, outcome: Tensor, draw: Draw) -> None:
         """Record the episodes that have just ended, and begin new ones within the budget."""
         here = self.worlds
-        seconds = (self.clock - here.begun) * self.world.dt
-        measures = self.world.sim.measures(here.start, here.world, seconds.to(torch.float64))
+        seconds = (self.clock - here.begun).to(torch.float64) * self.world.dt
+        measures = self.world.sim.measures(here.start, here.world, seconds)
         for row in ended.nonzero().flatten().tolist():
             position = self.trail.position(row)
             self.episodes.append(
                 Episode(
                     row=row,
                     number=int(here.episodes[row]),
-                    start=float(here.begun[row]) * self.world.dt,
+                    start=int(here.begun[row]) * self.world.dt,
                     seconds=float(seconds[row]),
                     outcome=Outcome(int(outcome[row])),
                     measures={name: float(figure[row]) for name, figure in measures.items()},
@@ -305,7 +305,7 @@ class Training:
             episodes=here.episodes.tolist(),
             falls=here.falls.tolist(),
             rides=here.rides.tolist(),
-            episode_seconds=((self.clock - here.begun) * self.world.dt).tolist(),
+            episode_seconds=[t * self.world.dt for t in (self.clock - here.begun).tolist()],
             value=(sums.value / sums.ticks).tolist(),
             gradient=(sums.gradient / sums.ticks).tolist(),
             error=(sums.error / sums.ticks).tolist(),
@@ -350,7 +350,7 @@ def evaluate(
             outcome = world.outcome(state, clock)
             ended = active & (outcome != int(Outcome.RUNNING))
             if bool(ended.any()):
-                seconds = (clock * world.dt).to(torch.float64).expand(len(keys))
+                seconds = (clock.to(torch.float64) * world.dt).expand(len(keys))
                 measures = world.sim.measures(start, state, seconds)
                 for index in ended.nonzero().flatten().tolist():
                     row, number = divmod(index, episodes)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
@@ -63,6 +63,13 @@ class Physics:
     """The handlebar's stop (80 degrees, in the digits of the C program), rad."""
     omega_max: Scalar = math.pi / 15
     """The lean beyond which the bicycle has fallen (12 degrees), rad."""
+
+    def __post_init__(self) -> None:
+        """Refuse constants that are not above 0."""
+        for constant in fields(self):
+            value = getattr(self, constant.name)
+            if not isinstance(value, Tensor) and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{constant.name}={value}: expected a finite number above 0")
 
     @property
     def M(self) -> Scalar:

@@ -66,7 +66,12 @@ class GymnasiumSim:
         self._id = env_id
         self._kwargs = dict(env_kwargs or {})
         self._ended = Outcome.FAILED if termination == "failure" else Outcome.SUCCEEDED
-        env = self._make()
+        try:
+            env = self._make()
+        except gymnasium.error.Error as error:
+            raise ValueError(
+                f"env_id={env_id}: expected a Gymnasium environment ({error})"
+            ) from error
         self._envs = [env]
         self._last: Tensor | None = None
         observation = _box(env_id, "observation", env.observation_space)

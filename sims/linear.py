@@ -38,11 +38,11 @@ class LinearSystem:
         time_limit: float = 50.0,
     ) -> None:
         """Check the arguments."""
-        F = torch.tensor(state_matrix, dtype=torch.float64)
-        G = torch.tensor(action_matrix, dtype=torch.float64)
-        if F.ndim != 2 or F.shape[0] != F.shape[1]:
+        F = _matrix("state_matrix", state_matrix)
+        G = _matrix("action_matrix", action_matrix)
+        if F.shape[0] != F.shape[1]:
             raise ValueError(f"state_matrix={state_matrix}: expected a square matrix")
-        if G.ndim != 2 or G.shape[0] != F.shape[0]:
+        if G.shape[0] != F.shape[0]:
             raise ValueError(f"action_matrix={action_matrix}: expected {F.shape[0]} rows")
         for name, value in (("start", start), ("dt", dt), ("time_limit", time_limit)):
             if not (math.isfinite(value) and value > 0):
@@ -95,3 +95,13 @@ class LinearSystem:
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """``final_size`` ``[*batch]``."""
         return {"final_size": torch.linalg.vector_norm(final, dim=-1)}
+
+
+def _matrix(name: str, rows: Sequence[Sequence[float]]) -> Tensor:
+    try:
+        matrix = torch.tensor(rows, dtype=torch.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}={rows}: expected rows of numbers, all of one length") from error
+    if matrix.ndim != 2 or not bool(matrix.isfinite().all()):
+        raise ValueError(f"{name}={rows}: expected rows of finite numbers")
+    return matrix

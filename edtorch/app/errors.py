@@ -81,6 +81,10 @@ def _from_omegaconf(error: OmegaConfBaseException) -> str:
         line = unknown_key(_given(key), key, sorted(set(known) - {"_target_", "hydra"}))
         by_name = error.object_type is dict and "." in key
         return f"{line}; to add it by name: +{key}=..." if by_name else line
+    if "is not a valid bool" in first:
+        return f"{_given(key)}: expected true or false"
+    if re.match(r"Cannot assign .* to Dict", first):
+        return f"{_given(key)}: expected a mapping {{NAME: VALUE}}"
     if first.endswith("is not Optional"):
         return f"{_given(key)}: expected a value, not null"
     if first.startswith("Missing mandatory value"):

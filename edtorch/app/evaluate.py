@@ -122,8 +122,7 @@ def _evaluate(config: DictConfig) -> float:
 
 def main() -> None:
     """Entry point of ``edtorch-eval``."""
-    schemas.register()
-    # A folder of its own: beside the groups of edtorch-train, "policy=..." would name one of them.
+    schemas.register_evaluation()
     folder = str(files("conf") / "evaluate")
     run = hydra.main(version_base="1.3", config_path=folder, config_name="evaluate")(_task)
     sys.exit(guarded("edtorch-eval", run))

@@ -258,13 +258,8 @@ class EvaluateConfig:
     debug: bool = False
 
 
-SCALARS = frozenset(
-    f.name
-    for schema in (TrainConfig, EvaluateConfig)
-    for f in fields(schema)
-    if f.type in ("int", "bool", "str", "str | None")
-)
-"""Settings outside of any group."""
+SCALARS = frozenset(f.name for f in fields(TrainConfig) if f.type in ("int", "bool"))
+"""Settings of ``edtorch-train`` outside of any group."""
 
 SCHEMAS: dict[str, dict[str, type]] = {
     "domain": {
@@ -285,10 +280,17 @@ SCHEMAS: dict[str, dict[str, type]] = {
 
 
 def register() -> None:
-    """Make the schemas known to Hydra."""
+    """Make the schemas of ``edtorch-train`` known to Hydra."""
     store = ConfigStore.instance()
     store.store(name="train_schema", node=TrainConfig)
-    store.store(name="evaluate_schema", node=EvaluateConfig)
     for group, options in SCHEMAS.items():
         for name, node in options.items():
             store.store(group=group, name=name, node=node)
+
+
+def register_evaluation() -> None:
+    """Make the schema of ``edtorch-eval`` known to Hydra.
+
+    Without the groups of ``edtorch-train``: there ``policy=...`` would name one of them.
+    """
+    ConfigStore.instance().store(name="evaluate_schema", node=EvaluateConfig)

@@ -47,7 +47,8 @@ class Stop:
             yield
         finally:
             for number, handler in before.items():
-                signal.signal(number, handler)
+                # A process that has been asked to go is going: nothing may come in its way.
+                signal.signal(number, signal.SIG_IGN if self.asked else handler)
 
     @contextmanager
     def between_ticks(self) -> Iterator[None]:

@@ -46,7 +46,7 @@ def broken(training: Training) -> dict[int, tuple[str, int]]:
 
 def summarise(training: Training, timing: Timing, evaluated: list[list[Episode]]) -> dict[str, Any]:
     """The content of ``summary.json``."""
-    lived = (training.learners.tick * training.world.dt).tolist()
+    lived = (training.learners.tick.to(torch.float64) * training.world.dt).tolist()
     return {
         "seeds": training.seeds,
         **learning_figures(training.episodes, training.seeds, lived),

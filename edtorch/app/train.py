@@ -229,6 +229,8 @@ def _run(config: DictConfig, folder: RunFolder, stop: Stop, began: float) -> dic
         raise
     with stop.not_now():
         folder.set_status("done")
+    if stop.asked:
+        raise Interrupted(f"the run in {folder.path} is complete")
     return summary
 
 

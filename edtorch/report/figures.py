@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from edtorch.checkpoint import write_atomically
 from edtorch.interact import Episode
@@ -100,6 +101,9 @@ def _lengths(axes, episodes: Sequence[Episode], rows: int) -> None:
         )
     if episodes:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1, 0.4)))
+    axes.set_xlim(left=0)
     axes.set_xlabel("simulated training time, s")
     axes.set_ylabel("length of episode, s")
     axes.grid(alpha=0.25)

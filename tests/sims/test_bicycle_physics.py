@@ -18,6 +18,7 @@ from sims.bicycle import (
     HANDLEBAR_FIRST,
     RANDLOV,
     Bicycle,
+    Physics,
     angle_to_goal,
     explicit_euler,
     semi_implicit,
@@ -328,3 +329,8 @@ def test_displacement_is_read_back() -> None:
         trail.append(step(trail[-1], tensor(0.3, d), tensor(w)[0]))
         hung.append(d + w)
     assert torch.allclose(displacement(torch.stack(trail)), tensor(*hung), atol=1e-12)
+
+
+def test_refuses_constants_that_no_bicycle_has() -> None:
+    with pytest.raises(ValueError, match="v=-1: expected a finite number above 0"):
+        Physics(v=-1)

@@ -183,6 +183,7 @@ def test_only_the_state_returned_last_goes_on() -> None:
             {"dt": 0.02},
             "env_id=CartPole-v1: expected a one-dimensional Box as action",
         ),
+        ("NoSuchThing-v3", {"dt": 0.02}, "env_id=NoSuchThing-v3: expected a Gymnasium"),
         ("MountainCarContinuous-v0", {}, "dt=None: expected"),
         ("MountainCarContinuous-v0", {"dt": -1.0}, "dt=-1.0: expected"),
         ("Pendulum-v1", {"time_limit": 0.0}, "time_limit=0.0: expected"),

@@ -1,0 +1,184 @@
+"""Everything under conf/: it composes, it builds, and its keys are those of the constructors."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from dataclasses import Field, fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_module
+from hydra.core.config_store import ConfigStore
+from hydra.utils import get_class
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+import conf
+from edtorch.app import schemas
+from edtorch.app.build import Setup, build
+from edtorch.interact import Budget, Training, evaluate
+from edtorch.learner import Learner, ResidualNoise
+from edtorch.unroll import Horizon
+from sims.base import Outcome
+from sims.bicycle import Bicycle
+
+ROOT = Path(str(conf.__file__)).parent
+EXPERIMENTS = sorted(path.stem for path in (ROOT / "experiment").glob("*.yaml"))
+OPTIONS = sorted(
+    (path.parent.name, path.stem)
+    for path in ROOT.glob("*/*.yaml")
+    if path.parent.name not in ("experiment", "evaluate")
+)
+# What an option needs beside it to be built.
+BESIDE = {
+    ("domain", "linear"): ["reward=quadratic", "+reward.state.s0=1"],
+    ("domain", "gymnasium"): [
+        "domain.env_id=Pendulum-v1",
+        "reward=quadratic",
+        "+reward.state.state_0=1",
+    ],
+    ("reward", "quadratic"): ["+reward.state.lean=1"],
+}
+
+
+@pytest.fixture(autouse=True)
+def hydra(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    store = ConfigStore.instance()
+    monkeypatch.setattr(store, "repo", {"hydra": store.repo.get("hydra", {})})
+    schemas.register()
+    with initialize_config_module("conf", version_base="1.3"):
+        yield
+
+
+def _compose(*overrides: str) -> DictConfig:
+    return compose("train", list(overrides))
+
+
+@pytest.mark.experiment
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_experiment_runs_three_episodes(name: str) -> None:
+    limits = ("seeds=2", "train.episodes=3", "train.rides=null", "train.seconds=200")
+    setup = build(_compose(f"experiment={name}", *limits))
+    training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
+    training.advance(10**6)
+    assert training.done
+    assert [e.number for e in training.episodes if e.row == 0] == [0, 1, 2]
+    assert [e.number for e in training.episodes if e.row == 1] == [0, 1, 2]
+    assert bool(training.finite.all())
+    assert all(bool(p.abs().max() > 0) for p in training.learners.policy.values())
+
+
+@pytest.mark.parametrize(("group", "option"), OPTIONS, ids=str)
+def test_option_builds(group: str, option: str) -> None:
+    setup = build(_compose(f"{group}={option}", "seeds=2", *BESIDE.get((group, option), [])))
+    training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
+    assert training.advance(3) == 3
+    assert bool(training.finite.all())
+
+
+def test_every_option_is_known_here() -> None:
+    """Groups in ``conf`` and in the schema of the whole are the same."""
+    groups = {group for group, _ in OPTIONS}
+    assert groups == {f.name for f in fields(schemas.TrainConfig)} - schemas.SCALARS
+
+
+def _settable(constructor: Any, handed_in: set[str]) -> set[str]:
+    return set(inspect.signature(constructor).parameters) - handed_in
+
+
+# Schemas without a _target_: what they are handed to, and what that gets from elsewhere.
+DIRECT = [
+    (schemas.BudgetConfig, Budget, set()),
+    (schemas.UnrollConfig, Horizon, {"steps", "unit"}),
+    (schemas.NoiseConfig, ResidualNoise, set()),
+]
+# From the domain, not from configuration; and what a transform says of itself.
+HANDED_IN = {"states", "actions", "period", "dtype", "propagates_covariance"}
+
+
+def _schema_fields(node: DictConfig) -> tuple[Field[Any], ...]:
+    schema = OmegaConf.get_type(node)
+    assert schema is not None
+    return fields(schema)
+
+
+def _with_target() -> list[tuple[str, str]]:
+    return [
+        (group, option)
+        for group, option in OPTIONS
+        if group in {"domain", "model", "fit", "policy", "transform", "step"}
+    ]
+
+
+@pytest.mark.parametrize(("group", "option"), _with_target(), ids=str)
+def test_schema_has_the_keys_of_its_constructor(group: str, option: str) -> None:
+    node = _compose(f"{group}={option}")[group]
+    target = get_class(node._target_)
+    names = {f.name for f in _schema_fields(node)} - {"_target_"}
+    assert names == _settable(target, HANDED_IN)
+
+
+@pytest.mark.parametrize(("group", "option"), _with_target(), ids=str)
+def test_schema_has_the_defaults_of_its_constructor(group: str, option: str) -> None:
+    node = _compose(f"{group}={option}")[group]
+    parameters = inspect.signature(get_class(node._target_)).parameters
+    for field in _schema_fields(node):
+        default = parameters[field.name].default if field.name in parameters else None
+        plain = isinstance(default, int | float | str)
+        if plain and not isinstance(field.default, str | None) and field.default is not MISSING:
+            assert field.default == default, field.name
+
+
+def test_physics_has_the_constants_of_the_bicycle() -> None:
+    target = get_class("sims.bicycle.Physics")
+    assert {f.name for f in fields(schemas.PhysicsConfig)} - {"_target_"} == _settable(
+        target, set()
+    )
+    assert build(_compose("domain=bicycle")).world.sim == get_class("sims.bicycle.Bicycle")()
+
+
+@pytest.mark.parametrize(("schema", "constructor", "handed_in"), DIRECT)
+def test_direct_schema(schema: type, constructor: Any, handed_in: set[str]) -> None:
+    names = {f.name for f in fields(schema)}
+    assert _settable(constructor, handed_in) <= names
+    rest = names - _settable(constructor, handed_in)
+    assert rest <= {"horizon", "path", "exploration"}
+    assert "exploration" not in rest or "exploration" in _settable(Learner, set())
+
+
+def _first_falls(setup: Setup) -> list[float]:
+    zero = setup.learner.initial(setup.seeds).policy
+    evaluated = evaluate(setup.learner.policy, zero, setup.world, setup.seeds, 5).episodes
+    assert all(e.outcome is Outcome.FAILED for own in evaluated for e in own)
+    return [e.seconds for own in evaluated for e in own]
+
+
+def test_settings_of_the_domain_reach_the_world() -> None:
+    calm = build(_compose("seeds=2", "domain.noise=0.001"))
+    rough = build(_compose("seeds=2", "domain.noise=0.05"))
+    assert min(_first_falls(calm)) > max(_first_falls(rough))
+    scaled = build(_compose("+domain.state_scale.lean=0.5"))
+    assert [q.scale for q in scaled.world.spec.state if q.name == "lean"] == [0.5]
+    euler = build(_compose("domain.integrate._target_=sims.bicycle.explicit_euler"))
+    assert _first_falls(euler) != _first_falls(build(_compose()))
+    quick = build(_compose("domain.physics.v=5.0"))
+    assert isinstance(quick.world.sim, Bicycle)
+    assert quick.world.sim.physics.v == 5.0
+
+
+def test_the_paper_s_settings() -> None:
+    """bicycle_paper is section 4 of the paper."""
+    config = _compose("experiment=bicycle_paper")
+    assert config.fit._target_ == "edtorch.fit.AbsoluteError"
+    assert (config.fit.rate, config.step.alpha, config.step.beta) == (1.0, 0.1, 1.0)
+    assert (config.noise.exploration, config.unroll.horizon, config.unroll.dt) == (0.05, 30, 0.051)
+    assert dict(config.reward.state) == {"angle_to_goal": 1.0, "lean": 10.0}
+
+
+def test_the_random_features_are_those_of_the_seed() -> None:
+    random = "policy.features={_target_: edtorch.features.RandomFourier, count: 4, lengthscale: 1}"
+    one, same, other = (build(_compose(random, f"seed={s}")).learner.policy for s in (1, 1, 2))
+    buffers = [dict(p.named_buffers())["features.frequency"] for p in (one, same, other)]
+    assert buffers[0].equal(buffers[1])
+    assert not buffers[0].equal(buffers[2])

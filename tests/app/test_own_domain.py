@@ -1,0 +1,83 @@
+"""A simulator of a user's own: a class, a file of configuration, and nothing changed in edtorch."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+SIM = '''
+"""A cart on a rail."""
+
+import torch
+
+from sims.base import Outcome, Quantity, Spec
+
+
+class Cart:
+    def __init__(self, push: float = 1.0) -> None:
+        if not push > 0:
+            raise ValueError(f"push={push}: expected a number > 0")
+        self.push = push
+        self.spec = Spec(
+            name="cart",
+            state=(Quantity("place", "m"), Quantity("speed", "m/s")),
+            action=(Quantity("force", "N", low=-1.0, high=1.0),),
+            dt=0.05,
+            time_limit=2.0,
+            disturbance_dim=1,
+            reset_dim=1,
+            clip_action=True,
+            headline="place",
+        )
+
+    def initial(self, uniforms):
+        return torch.cat([2 * uniforms - 1, torch.zeros_like(uniforms)], -1)
+
+    def restart(self, state, mask, uniforms):
+        return torch.where(mask.unsqueeze(-1), self.initial(uniforms), state)
+
+    def step(self, state, action, uniforms):
+        place, speed = state.split(1, -1)
+        speed = speed + 0.05 * (self.push * action + uniforms - 0.5)
+        return torch.cat([place + 0.05 * speed, speed], -1)
+
+    def observe(self, state):
+        return state
+
+    def outcome(self, state):
+        return torch.where(state[..., 0].abs() < 3, int(Outcome.RUNNING), int(Outcome.FAILED))
+
+    def measures(self, start, final, seconds):
+        return {}
+'''
+YAML = "_target_: my_package.cart.Cart\npush: 2.0\n"
+
+
+def test_own_domain(
+    start: Callable[..., subprocess.Popen[str]], workplace: Path, quick: tuple[str, ...]
+) -> None:
+    package = workplace / "src" / "my_package"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "cart.py").write_text(SIM)
+    (workplace / "my_conf" / "domain").mkdir(parents=True)
+    (workplace / "my_conf" / "domain" / "mine.yaml").write_text(YAML)
+    arguments = (
+        *("--config-dir", "my_conf", *quick, "domain=mine", "hydra.run.dir=run"),
+        *("reward=quadratic", "+reward.state.place=1", "+reward.state.speed=1"),
+    )
+    path = {"PYTHONPATH": str(workplace / "src")}
+    good = start("edtorch-train", *arguments, **path)
+    bad = start("edtorch-train", *arguments, "domain.push=-1", "hydra.run.dir=bad", **path)
+    _, err = good.communicate(timeout=120)
+    assert good.returncode == 0, err
+    status = json.loads((workplace / "run" / "status.json").read_text())
+    assert status["status"] == "done"
+    _, err = bad.communicate(timeout=120)
+    assert err == "edtorch-train: domain.push=-1: expected a number > 0\n"
+    evaluation = start("edtorch-eval", "run=run", "episodes=2", **path)
+    out, err = evaluation.communicate(timeout=120)
+    assert evaluation.returncode == 0, err
+    assert "goal rate" in out

@@ -1,0 +1,217 @@
+"""What a user can get wrong: one line with key, value and what was expected, and nothing left."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Command = Callable[..., Any]
+LARGEST = 2**63 - 1
+THREE = "{_target_: edtorch.features.Identity, inputs: 3}"
+
+# Arguments, and what the line must say.
+REFUSED = [
+    (["step.alpa=1"], r"step\.alpa=1: unknown key; did you mean step\.alpha\?"),
+    (["+step.foo=3"], r"step\.foo=3: unknown key; step has alpha, beta"),
+    (["+foo=1"], r"foo=1: unknown key"),
+    (["foo=bar"], r"foo=bar: unknown key"),
+    (["+domain.new=3"], r"domain\.new=3: unknown key; domain has .*goal_radius"),
+    (["+domain.physics.foo=3"], r"domain\.physics\.foo=3: unknown key"),
+    (["+domain.integrate.foo=3"], r"domain\.integrate\.foo=3: unknown key"),
+    (["domain.state_scale.lean=1"], r"to add it by name: \+domain\.state_scale\.lean"),
+    (["unroll.horizon=abc"], r"unroll\.horizon=abc: expected an integer"),
+    (["seeds=1.5"], r"seeds=1\.5: expected an integer"),
+    (["seeds=null"], r"seeds=null: expected a value"),
+    (["step.alpha="], r"step\.alpha=: expected a number"),
+    (["log.figures=perhaps"], r"log\.figures=perhaps: expected true or false"),
+    (["reward.state=3"], r"reward\.state=3: expected a mapping"),
+    (["noise.exploration=-1"], r"noise\.exploration=-1\.0: expected a number >= 0"),
+    (["noise.exploration=inf"], r"noise\.exploration=inf: expected a finite number"),
+    (["step.alpha=nan"], r"step\.alpha=nan: expected a finite number"),
+    (["step.alpha=-1"], r"step\.alpha=-1\.0: expected a number >= 0"),
+    (["step.beta=0"], r"step\.beta=0\.0: expected a number > 0"),
+    (["fit.rate=-1"], r"fit\.rate=-1\.0: expected a number >= 0"),
+    (["domain.goal_radius=0"], r"domain\.goal_radius=0\.0: expected .* above 0"),
+    (["domain.noise=-1"], r"domain\.noise=-1\.0: expected .* 0 or more"),
+    (["domain.noise=nan"], r"domain\.noise=nan: expected a finite number"),
+    (["domain.dt=-0.1"], r"domain\.dt=-0\.1: expected .* above 0"),
+    (["+domain.state_scale.lean=-3"], r"domain\.state_scale\.lean=-3\.0: expected .* above 0"),
+    (["unroll.horizon=0"], r"unroll\.horizon=0: expected at least one step"),
+    (["unroll.discount=0"], r"unroll\.discount=0\.0: expected a number in \(0, 1\]"),
+    (["unroll.discount=1.5"], r"unroll\.discount=1\.5: expected a number in \(0, 1\]"),
+    (["unroll.dt=0"], r"unroll\.dt=0\.0: expected a number > 0"),
+    (["unroll.path=foo"], r"unroll\.path=foo: expected one of auto, closed_form, generic"),
+    (["unroll.path=closed_form", "transform=first"], r"unroll\.path=closed_form: .*covariance"),
+    (["train.seconds=null", "train.rides=null"], r"train\.seconds=null.*expected a number for"),
+    (["train.seconds=0"], r"train\.seconds=0\.0: expected a finite number > 0"),
+    (["train.episodes=0"], r"train\.episodes=0: expected an integer >= 1"),
+    (["train.rides=-3"], r"train\.rides=-3: expected an integer >= 1"),
+    (["seeds=0"], r"seeds=0: expected an integer >= 1"),
+    (["seed=-1"], r"seed=-1: expected an integer >= 0"),
+    ([f"seed={LARGEST}"], rf"seed={LARGEST}: expected seed \+ seeds <= 2\^63"),
+    (["eval.episodes=-1"], r"eval\.episodes=-1: expected an integer >= 0"),
+    (["log.every=0"], r"log\.every=0: expected an integer >= 1"),
+    (["log.checkpoint=1"], r"log\.checkpoint=1: expected an integer >= 5"),
+    (["compute.threads=0"], r"compute\.threads=0: expected an integer >= 1"),
+    (["compute.precision=float16"], r"compute\.precision=float16: expected one of float64, float"),
+    (["domain=foo"], r"domain=foo: expected one of bicycle, gymnasium, linear$"),
+    (["experiment=foo"], r"experiment=foo: expected one of bicycle, bicycle_paper"),
+    (["model.features=foo"], r"model\.features=foo: expected one of identity, affine"),
+    ([f"model.features={THREE}"], r"model\.features\.inputs=3: expected 7"),
+    ([f"policy.features={THREE}"], r"policy\.features\.inputs=3: expected 5"),
+    (
+        ["policy.features={_target_: edtorch.features.RandomFourier, count: 5}"],
+        r"policy\.features\.lengthscale: no value given",
+    ),
+    (
+        ["policy.features={_target_: torch.nn.Linear, in_features: 3, out_features: 3}"],
+        r"policy\.features\.inputs=None: expected 5",
+    ),
+    (["domain._target_=sims.nope.Foo"], r"domain\._target_=sims\.nope\.Foo: expected the full na"),
+    (["domain._target_=sims.bicycle.step"], r"domain\._target_=sims\.bicycle\.step: .* a class"),
+    (["domain.integrate._target_=sims.nope"], r"domain\.integrate\._target_=sims\.nope: .*functi"),
+    (["fit._target_=edtorch.update.PlainStep"], r"fit\._target_=.*PlainStep: .*lacks update"),
+    (["+reward.state.foo=1"], r"reward\.state\.foo=1\.0: expected one of lean, lean_rate"),
+    (["+reward.state.handlebar=-1"], r"reward\.state\.handlebar=-1\.0: expected .* >= 0"),
+    (["reward=quadratic"], r"reward\.state=\{\}: expected a weight > 0 for one of lean"),
+    (["domain=gymnasium"], r"domain\.env_id: no value given; set it with domain\.env_id="),
+    (["domain=linear", "domain.state_matrix=[[1,2]]"], r"domain\.state_matrix=\[\[1, 2\]\]: exp"),
+    (["foo"], r"foo: expected KEY=VALUE"),
+    (["=3"], r"=3: expected KEY=VALUE"),
+    (["train=3"], r"train=3: expected KEY=VALUE with the name of an option"),
+    (["step=null"], r"step=null: expected KEY=VALUE with the name of an option"),
+    (["--config-dir", "/nope"], r"'/nope' not found"),
+    (["-m", "noise.exploration=-1,0.1"], r"noise\.exploration=-1\.0: expected a number >= 0"),
+    (["-m", "domain=foo,bicycle"], r"domain=foo: expected one of"),
+    (["-m", "step.alpa=1,2"], r"step\.alpa=1,2: unknown key"),
+]
+
+
+def _options_first(arguments: list[str]) -> list[str]:
+    return sorted(arguments, key=lambda a: a != "-m")
+
+
+def _name(value: object) -> str:
+    return " ".join(value)[:60] if isinstance(value, list) else ""
+
+
+@pytest.mark.parametrize(("arguments", "wanted"), REFUSED, ids=_name)
+def test_train_refuses_with_one_line(
+    command: Command, workplace: Path, quick: tuple[str, ...], arguments: list[str], wanted: str
+) -> None:
+    result = command("edtorch-train", *_options_first([*quick, *arguments]))
+    assert result.status == 1
+    assert result.line.startswith("edtorch-train: ")
+    assert re.search(wanted, result.line), result.line
+    assert list(workplace.iterdir()) == []
+
+
+@pytest.mark.parametrize("place", ["/proc/x", "/dev/null/x/y", "/dev/null"])
+def test_folder_that_cannot_be_written_to(
+    command: Command, workplace: Path, quick: tuple[str, ...], place: str
+) -> None:
+    result = command("edtorch-train", *quick, f"hydra.run.dir={place}")
+    assert result.status == 1
+    assert f"hydra.run.dir={place}: expected a folder to write to" in result.line
+
+
+def test_folder_that_holds_a_run_is_left_alone(
+    command: Command, finished: Path, quick: tuple[str, ...]
+) -> None:
+    before = {p.name: p.read_bytes() for p in finished.iterdir()}
+    result = command("edtorch-train", *quick, f"hydra.run.dir={finished}")
+    assert result.status == 1
+    assert f"hydra.run.dir={finished}: already holds a run" in result.line
+    assert {p.name: p.read_bytes() for p in finished.iterdir()} == before
+
+
+def test_only_folders_that_are_new_are_removed(
+    command: Command, workplace: Path, quick: tuple[str, ...]
+) -> None:
+    (workplace / "mine").mkdir()
+    command("edtorch-train", *quick, "seed=-1", "hydra.run.dir=mine")
+    command("edtorch-train", *quick, "seed=-1", "hydra.run.dir=mine/a/b")
+    assert [p.name for p in workplace.iterdir()] == ["mine"]
+    assert list((workplace / "mine").iterdir()) == []
+
+
+EVAL_REFUSED = [
+    ([], r"run: no value given; set it with run="),
+    (["run=nope"], r"run=nope: expected the folder of a run, but it does not exist"),
+    (["run=empty"], r"run=empty: expected the folder of a run, but it has no config\.yaml"),
+    (["run=good/config.yaml"], r"run=good/config\.yaml: .* but it is a file"),
+    (["run=garbled"], r"garbled/config\.yaml: expected the configuration of a training run"),
+    (["run=other"], r"other/config\.yaml: expected the configuration of a training run"),
+    (["run=cut"], r"cut/policy\.safetensors: not a saved policy"),
+    (["run=zeros"], r"zeros/policy\.safetensors: not a saved policy"),
+    (["run=good", "policy=nope"], r"policy=nope: no such file"),
+    (["run=good", "policy=good"], r"policy=good: no such file"),
+    (["run=good", "policy=linear/policy.safetensors"], r"domain linear, expected domain bicycle"),
+    (["run=good", "policy=one/policy.safetensors"], r"seeds \[3\], expected seeds \[3, 4\]"),
+    (["run=good", "+domain.foo=1"], r"domain\.foo=1: unknown key; domain has .*goal_radius"),
+    (["run=good", "+domain.noise=-1"], r"domain\.noise=-1: expected"),
+    (["run=good", "domain=3"], r"domain=3: expected a mapping"),
+    (["run=good", "episodes=0"], r"episodes=0: expected an integer >= 1"),
+    (["run=good", "threads=0"], r"threads=0: expected an integer >= 1"),
+    (["run=good", "+foo=1"], r"foo=1: unknown key"),
+]
+
+
+@pytest.fixture(scope="module")
+def shelf(
+    finished: Path, tmp_path_factory: pytest.TempPathFactory, quick_runs: Callable[..., None]
+) -> Path:
+    """Run folders, most of them spoilt."""
+    shelf = tmp_path_factory.mktemp("shelf")
+    for name in ("good", "garbled", "other", "cut", "zeros"):
+        shutil.copytree(finished, shelf / name)
+    (shelf / "empty").mkdir()
+    (shelf / "garbled" / "config.yaml").write_text("a: [b\n")
+    (shelf / "other" / "config.yaml").write_text("name: something else\n")
+    policy = (finished / "policy.safetensors").read_bytes()
+    (shelf / "cut" / "policy.safetensors").write_bytes(policy[:50])
+    (shelf / "zeros" / "policy.safetensors").write_bytes(bytes(200))
+    linear = ("domain=linear", "reward=quadratic", "+reward.state.s0=1")
+    quick_runs("seed=3", *linear, f"hydra.run.dir={shelf / 'linear'}")
+    quick_runs("seed=3", "seeds=1", f"hydra.run.dir={shelf / 'one'}")
+    return shelf
+
+
+@pytest.mark.parametrize(("arguments", "wanted"), EVAL_REFUSED, ids=_name)
+def test_eval_refuses_with_one_line(
+    command: Command,
+    shelf: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    wanted: str,
+) -> None:
+    monkeypatch.chdir(shelf)
+    before = sorted(shelf.rglob("*"))
+    result = command("edtorch-eval", *arguments)
+    assert result.status == 1
+    assert result.line.startswith("edtorch-eval: ")
+    assert re.search(wanted, result.line), result.line
+    assert sorted(shelf.rglob("*")) == before
+
+
+def test_as_processes(start: Command, workplace: Path, quick: tuple[str, ...]) -> None:
+    """The same from outside; with debug=true there is a traceback."""
+    bad = (*quick, "noise.exploration=-1")
+    plain = start("edtorch-train", *bad, "hydra.run.dir=plain/run")
+    debug = start("edtorch-train", *bad, "hydra.run.dir=debug/run", "debug=true")
+    eval_ = start("edtorch-eval", "run=nope")
+    _, err = plain.communicate(timeout=120)
+    assert plain.returncode == 1
+    assert err == "edtorch-train: noise.exploration=-1.0: expected a number >= 0\n"
+    _, err = debug.communicate(timeout=120)
+    assert debug.returncode != 0
+    assert "Traceback" in err and "noise.exploration=-1.0: expected a number >= 0" in err
+    out, err = eval_.communicate(timeout=120)
+    assert eval_.returncode == 1
+    assert (out, len(err.splitlines())) == ("", 1)
+    assert list(workplace.iterdir()) == []
