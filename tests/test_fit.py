@@ -10,6 +10,7 @@ from torch import Tensor
 
 from edtorch.fit import (
     AbsoluteError,
+    BayesianLeastSquares,
     Fit,
     NormalisedSquaredError,
     RecursiveLeastSquares,
@@ -53,7 +54,13 @@ def noiseless(count: int, true: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
 
 
 @pytest.mark.parametrize(
-    "fit", [SquaredError(0.1), NormalisedSquaredError(0.5), RecursiveLeastSquares(1e6)]
+    "fit",
+    [
+        SquaredError(0.1),
+        NormalisedSquaredError(0.5),
+        RecursiveLeastSquares(1e6),
+        BayesianLeastSquares(),
+    ],
 )
 def test_recovers_a_linear_map(fit: Fit) -> None:
     true = normal(torch.Generator().manual_seed(2), 3, 4)
@@ -122,6 +129,45 @@ def test_recursive_least_squares_keeps_its_matrix_symmetric_and_positive() -> No
     P = memory["P"][0]
     assert torch.equal(P, P.T)
     assert float(torch.linalg.eigvalsh(P)[0]) > 0
+
+
+def test_bayesian_least_squares_is_ridge_regression_with_the_prior_of_greatest_evidence() -> None:
+    g = torch.Generator().manual_seed(8)
+    count, n, k = 30, 2, 4
+    phi, y = normal(g, count, k), normal(g, count, n)
+    fit = BayesianLeastSquares()
+    weight = torch.zeros(1, n, k, dtype=torch.float64)
+    memory = fit.initial(weight)
+    for i in range(count):
+        fitted = fit.update(weight, memory, phi[i : i + 1], y[i : i + 1], UNIT)
+        weight, memory = fitted.weight, fitted.memory
+
+    def log_evidence(a: float) -> float:
+        # y ~ N(0, sigma^2 (I + phi phi' / a)), sigma^2 at its best: from the density itself.
+        cov = torch.eye(count).double() + phi @ phi.T / a
+        squares = (y * torch.linalg.solve(cov, y)).sum(0)
+        spread = n * torch.logdet(cov) + count * squares.log().sum()
+        return -0.5 * float(spread)
+
+    grid = torch.logspace(3, -6, fit.priors, dtype=torch.float64).tolist()
+    best = max(grid, key=log_evidence)
+    ridge = torch.linalg.inv(phi.T @ phi + best * torch.eye(k).double())
+    assert torch.allclose(memory["P"][0], ridge, rtol=1e-9)
+    assert torch.allclose(weight[0], (ridge @ phi.T @ y).T, rtol=1e-9)
+
+
+def test_the_evidence_shrinks_weights_that_are_noise_and_leaves_those_that_are_not() -> None:
+    g = torch.Generator().manual_seed(9)
+    fit = BayesianLeastSquares()
+    sizes = []
+    for true in (torch.zeros(2, 8).double(), 3 * normal(g, 2, 8)):
+        data = (
+            (phi, phi @ true.T + normal(g, 1, 2)) for phi in (normal(g, 1, 8) for _ in range(25))
+        )
+        found = run(fit, data, 2, 8)
+        sizes.append((float(found.norm()), float(true.norm())))
+    assert sizes[0][0] < 0.6
+    assert sizes[1][0] == pytest.approx(sizes[1][1], rel=0.15)
 
 
 def test_rates_are_multiplied_with_the_unit() -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from edtorch.closed_form import adjoint_states, forward_states, powers_of_two
+from edtorch.closed_form.mean import adjoint_states, forward_states, powers_of_two
 from tests.systems import linear_case, normal
 
 SIZES = [

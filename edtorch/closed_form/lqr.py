@@ -1,0 +1,114 @@
+r"""The linear-quadratic regulator: what the best linear policy would be, and what it would earn.
+
+For s' = F s + G a + noise(nu), r = -(s'Q s + a'R a), discounted by gamma per step.  A discount is
+no more than a scaling: sqrt(gamma) F and sqrt(gamma) G without one.  After Anderson & Moore,
+"Optimal Control: Linear Quadratic Methods", chapters 2-3; the doubling of the Riccati equation
+after Anderson, "Second-order convergent algorithms for the steady-state Riccati equation", 1978.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from edtorch.types import Belief
+
+
+class NotConverged(ValueError):
+    """A stationary solution does not exist, or is not reached in float64."""
+
+
+@dataclass(frozen=True)
+class Regulator:
+    """gains theta of a = theta s, ``[T, *batch, m, n]``, first step first; cost ``[*batch, n, n]``,
+    the P_0 of V = -(mean'P_0 mean + tr(P_0 cov) + noise); costs ``[T + 1, *batch, n, n]``,
+    P_0..P_T.
+    """
+
+    gains: Tensor
+    cost: Tensor
+    costs: Tensor
+
+
+def _gain(F: Tensor, G: Tensor, R: Tensor, P: Tensor, discount: float) -> Tensor:
+    pull = discount * G.mT @ P
+    return -torch.linalg.solve(R + pull @ G, pull @ F)
+
+
+def finite_horizon_lqr(
+    F: Tensor, G: Tensor, Q: Tensor, R: Tensor, *, steps: int, discount: float = 1.0
+) -> Regulator:
+    """Riccati's recursion backwards: the gains that maximise the sum of ``steps`` + 1 rewards.
+
+    The sum is that of section 3's definition, gamma^k r(s_k, a_k) for k = 0..steps, where the last
+    action costs and moves nothing that counts: it is zero.  F ``[*batch, n, n]``, G ``[*batch, n,
+    m]``, Q ``[n, n]`` positive semidefinite, R ``[m, m]`` positive definite.
+    """
+    P = Q.expand(F.shape)
+    gains, costs = [], [P]
+    for _ in range(steps):
+        theta = _gain(F, G, R, P, discount)
+        A = F + G @ theta
+        P = Q + theta.mT @ R @ theta + discount * A.mT @ P @ A
+        P = 0.5 * (P + P.mT)
+        gains.insert(0, theta)
+        costs.insert(0, P)
+    return Regulator(torch.stack(gains), P, torch.stack(costs))
+
+
+def stationary_lqr(
+    F: Tensor, G: Tensor, Q: Tensor, R: Tensor, *, discount: float = 1.0, tolerance: float = 1e-13
+) -> tuple[Tensor, Tensor]:
+    """Gain theta ``[*batch, m, n]`` and cost P ``[*batch, n, n]`` of the infinite horizon.
+
+    Solves P = Q + F'P F - F'P G (R + G'P G)^-1 G'P F (discounted) by doubling the horizon at each
+    step.  Raises NotConverged if (F, G) cannot be stabilised.
+    """
+    scale = discount**0.5
+    A, H = scale * F, Q.expand(F.shape)
+    B = scale * G
+    W = B @ torch.linalg.solve(R, B.mT)
+    eye = torch.eye(F.shape[-1], dtype=F.dtype, device=F.device)
+    for _ in range(60):
+        inverse = torch.linalg.inv(eye + W @ H)
+        step = A.mT @ H @ inverse @ A
+        W = W + A @ inverse @ W @ A.mT
+        A = A @ inverse @ A
+        H = H + 0.5 * (step + step.mT)
+        if not bool(H.isfinite().all()):
+            break
+        if bool((step.abs().amax((-1, -2)) <= tolerance * H.abs().amax((-1, -2))).all()):
+            return _gain(F, G, R, H, discount), H
+    raise NotConverged("no stationary regulator: the system cannot be stabilised by its actions")
+
+
+def stationary_covariance(A: Tensor, noise: Tensor, *, tolerance: float = 1e-14) -> Tensor:
+    """Sigma = A Sigma A' + nu, ``[*batch, n, n]``, by doubling (Smith, 1968).
+
+    Raises NotConverged unless every eigenvalue of A is inside the unit circle.
+    """
+    power, total = A, noise
+    for _ in range(60):
+        more = power @ total @ power.mT
+        total = total + more
+        power = power @ power
+        if not bool(total.isfinite().all()):
+            break
+        if bool((more.abs().amax((-1, -2)) <= tolerance * total.abs().amax((-1, -2))).all()):
+            return total
+    raise NotConverged("no stationary covariance: the closed loop is not stable")
+
+
+def regulated_value(regulator: Regulator, start: Belief, noise: Tensor, discount: float) -> Tensor:
+    """V ``[*batch]`` of a regulator from ``start`` under noise nu ``[*batch, n, n]``.
+
+    -(mean'P_0 mean + tr(P_0 cov) + sum_{k=1..T} gamma^k tr(P_k nu)): exact for any distribution of
+    the noise.
+    """
+    first = start.mean.unsqueeze(-1) * start.mean.unsqueeze(-2) + start.cov
+    total = (regulator.cost * first).sum((-1, -2))
+    for k, P in enumerate(regulator.costs[1:], start=1):
+        total = total + discount**k * (P * noise).sum((-1, -2))
+    return -total

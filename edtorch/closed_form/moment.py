@@ -1,0 +1,113 @@
+r"""Value and gradient with covariance: the finite-horizon Lyapunov recursion and its adjoint.
+
+For a linear closed loop s' = A s + noise, A = F + G theta, mean and covariance need no recursions
+of their own: with the second moment X = mean mean' + cov (section 3, f'; exact here),
+
+    X_0 = s s' + Sigma_0,  X_{tau+1} = A X_tau A' + nu,  V = -sum_tau w_tau tr(C X_tau),
+    C = Q + theta' R theta,
+
+    Lambda_T = w_T C,  Lambda_tau = w_tau C + A' Lambda_{tau+1} A,
+    dV/dA = -2 sum_{tau=0}^{T-1} Lambda_{tau+1} A X_tau,
+    dV/dtheta = G' dV/dA - 2 R theta sum_tau w_tau X_tau.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from edtorch.models import Model
+from edtorch.policies import LinearPolicy
+from edtorch.rewards import QuadraticReward
+from edtorch.types import Belief, Parameters
+from edtorch.unroll import Horizon, ValueGradient
+
+
+def second_moments(A: Tensor, start: Tensor, noise: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+    """X_0..X_T ``[T + 1, B, n, n]`` and the products A X_0..A X_{T-1} ``[T, B, n, n]``.
+
+    A, start X_0 and noise nu ``[B, n, n]``.
+    """
+    moments, products = [start], []
+    transposed = A.mT
+    for _ in range(steps):
+        products.append(torch.bmm(A, moments[-1]))
+        moments.append(torch.baddbmm(noise, products[-1], transposed))
+    return torch.stack(moments), torch.stack(products)
+
+
+def moment_value_and_gradient(
+    F: Tensor,
+    G: Tensor,
+    theta: Tensor,
+    start: Belief,
+    noise: Tensor,
+    *,
+    state_cost: Tensor,
+    action_cost: Tensor | None,
+    weights: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """V = -sum_tau w_tau tr((Q + theta'R theta) X_tau) and dV/dtheta.
+
+    F ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start: a belief of ``[B, n]``, noise nu
+    over one step ``[B, n, n]``, state_cost Q ``[n, n]``, action_cost R ``[m, m]`` or None for zero,
+    weights w ``[T]``.  Returns V ``[B]`` and its gradient ``[B, m, n]``.
+    """
+    factors = weights.tolist()
+    steps = len(factors)
+    cost = state_cost.expand(F.shape)
+    if action_cost is not None:
+        cost = cost + theta.mT @ action_cost @ theta
+    A = torch.baddbmm(F, G, theta)
+    transposed = A.mT
+    first = start.mean.unsqueeze(-1) * start.mean.unsqueeze(-2) + start.cov
+    moments, products = second_moments(A, first, noise, steps)
+    weighted = (moments[1:] * weights.view(-1, 1, 1, 1)).sum(0)
+    value = -(cost * weighted).sum((-1, -2))
+    adjoint = factors[-1] * cost
+    through = torch.bmm(adjoint, products[-1])
+    for tau in range(steps - 1, 0, -1):
+        adjoint = torch.baddbmm(cost, torch.bmm(transposed, adjoint), A, beta=factors[tau - 1])
+        through = torch.baddbmm(through, adjoint, products[tau - 1])
+    gradient = -2 * torch.bmm(G.mT, through)
+    if action_cost is not None:
+        gradient = gradient - 2 * action_cost @ theta @ weighted
+    return value, gradient
+
+
+@dataclass(frozen=True)
+class LinearMoment:
+    """A ``ValuePath`` for linear model and policy, quadratic reward, constant noise, first order.
+
+    start_cov: covariance of the belief that the unroll starts from, ``[n, n]``.
+    """
+
+    model: Model
+    policy: LinearPolicy
+    reward: QuadraticReward
+    horizon: Horizon
+    weights: Tensor
+    start_cov: Tensor
+    needs_autograd: bool = False
+
+    def __call__(
+        self, model: Parameters, policy: Parameters, noise: Tensor, state: Tensor
+    ) -> ValueGradient:
+        """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
+        dynamics = self.model.linear_dynamics(model["weight"], self.horizon.dt)
+        theta = self.policy.linear_gain(policy["weight"])
+        if dynamics is None or theta is None:
+            raise ValueError("the closed loop is not linear in the state: no closed form")
+        value, gradient = moment_value_and_gradient(
+            dynamics.state,
+            dynamics.action,
+            theta,
+            Belief(state, self.start_cov.expand(*state.shape, state.shape[-1])),
+            self.model.noise_over(noise, self.horizon.dt),
+            state_cost=self.reward.state_cost,
+            action_cost=self.reward.action_cost if self.reward.costs_actions else None,
+            weights=self.weights,
+        )
+        return ValueGradient(value, {"weight": gradient})
