@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from edtorch.rewards import QuadraticReward, expected_reward, rowwise_jacobian
+from edtorch.derivatives import rowwise_jacobian
+from edtorch.rewards import QuadraticReward, expected_reward
 from edtorch.types import Belief
 from tests.systems import normal, random_cost
 
