@@ -57,8 +57,8 @@ def check_covariance(name: str, cov: Tensor) -> None:
         *row, i, j = bad.nonzero()[0].tolist()
         matrix = cov[tuple(row)]
         raise AsymmetryError(
-            f"{name}{row or ''} is not symmetric: entry ({i}, {j}) is {matrix[i, j].item():.9g} and "
-            f"({j}, {i}) is {matrix[j, i].item():.9g}"
+            f"{name}{row or ''} is not symmetric: entry ({i}, {j}) is {matrix[i, j].item():.9g} "
+            f"and ({j}, {i}) is {matrix[j, i].item():.9g}"
         )
     values = torch.linalg.eigvalsh(cov)
     negative = values[..., 0] < -tolerance * values.abs().amax(-1)

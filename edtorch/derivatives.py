@@ -5,8 +5,8 @@ A covariance enters every second-order formula of the method as the contraction
     (H : \Sigma)^i = \sum_{jk} \Sigma^{jk} \partial^2 f^i / \partial s^j \partial s^k
                    = \sum_k D^2 f(s)[\Sigma e_k, e_k],
 
-n nested Jacobian-vector products.  Written so it needs no square root of Sigma and is safe and
-differentiable at Sigma = 0, where every online rollout starts.
+n nested Jacobian-vector products.  Written so, it needs no square root of Sigma, and it is safe
+and differentiable at Sigma = 0, where every online rollout starts.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ def directional(function: StateFunction, direction: Tensor) -> StateFunction:
     """
 
     def along(x: Tensor) -> Tensor:
-        out, pull = vjp(function, x)
+        pulled = vjp(function, x)
+        out, pull = pulled[0], pulled[1]
         return vjp(lambda w: pull(w)[0], torch.zeros_like(out))[1](direction)[0]
 
     return along

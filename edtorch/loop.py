@@ -31,7 +31,7 @@ class ClosedLoop:
         return functional_call(self.model, self.model_parameters, (state, self.act(state), self.dt))
 
     def jacobian(self, state: Tensor) -> Tensor | None:
-        """F + G theta ``[*batch, n, n]`` where model and policy are linear in the state, else None."""
+        """F + G theta ``[*batch, n, n]`` where model and policy are linear in the state or None."""
         dynamics = self.model.linear_dynamics(self.model_parameters["weight"], self.dt)
         gain = self.policy.linear_gain(self.policy_parameters["weight"])
         if dynamics is None or gain is None:

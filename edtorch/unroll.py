@@ -1,8 +1,8 @@
 """The limited-horizon value of a policy under a model, and its gradient (Fig. 1, steps 3-6).
 
-``unroll`` pushes a belief through any closed loop; ``propagate`` is its inside.  ``Generic`` differentiates it for any model,
-policy, reward and transform; ``edtorch.closed_form`` gives the same for linear closed loops, much
-faster; ``edtorch.dispatch`` decides between them.
+``unroll`` pushes a belief through any closed loop; ``propagate`` is its inside, without checks.
+``Generic`` differentiates that for any model, policy, reward and transform; ``edtorch.closed_form``
+gives the same for linear closed loops, much faster; ``edtorch.dispatch`` decides between them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from edtorch.transform import ConstantNoise, Transform, point_belief
 from edtorch.transform.positive import floored
 from edtorch.types import Belief, Parameters, Trajectory
 
-
 Reading = Literal["figure", "definition"]
 """Which of the paper's two sums is the value; see ``Horizon``."""
 
@@ -38,7 +37,7 @@ class Horizon:
     discount per second in the derivative form.  The paper says in two ways which rewards count:
 
     * reading="figure": tau = 1..T, the rewards yet to be influenced (Fig. 1 step 6);
-    * reading="definition": tau = 0..T, T + 1 of them (section 3: V_pi is the sum over tau = t..t+n).
+    * reading="definition": tau = 0..T, T + 1 of them (section 3: V_pi sums over tau = t..t+n).
 
     V_definition = unit r~_0 + discount^unit V_figure, so for a reward of the state alone the two
     have the same policy gradient but for the factor discount^unit.  T = 0 leaves r~_0 to the

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -36,8 +35,8 @@ class Cubature:
     Control 54 (2009) 1254-1269.
     """
 
-    propagates_covariance: ClassVar[bool] = True
-    differentiates_reward: ClassVar[bool] = False
+    propagates_covariance = True
+    differentiates_reward = False
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """A mean of covariances is one, so all depends on nu."""

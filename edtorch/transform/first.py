@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from torch import Tensor
 
@@ -23,8 +22,8 @@ class FirstOrder:
     one-step error of the mean is 1/2 H:cov to leading order.
     """
 
-    propagates_covariance: ClassVar[bool] = True
-    differentiates_reward: ClassVar[bool] = True
+    propagates_covariance = True
+    differentiates_reward = True
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """J cov J' is positive semidefinite, so all depends on nu."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from torch import Tensor
@@ -27,15 +26,15 @@ def hermite_nodes(order: int, like: Tensor) -> points.Nodes:
 
 @dataclass(frozen=True)
 class GaussHermite:
-    """Moments over ``order``^n points, exact for polynomials of degree 2 order - 1 in each variable.
+    """Moments over ``order``^n points, exact up to degree 2 order - 1 in each variable.
 
     With a large order this is Gaussian moment matching itself.  order: 2 or more (one point has no
     spread), ValueError otherwise.
     """
 
     order: int = 3
-    propagates_covariance: ClassVar[bool] = True
-    differentiates_reward: ClassVar[bool] = False
+    propagates_covariance = True
+    differentiates_reward = False
 
     def __post_init__(self) -> None:
         if self.order < 2:

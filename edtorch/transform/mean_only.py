@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from torch import Tensor
 
@@ -20,8 +19,8 @@ class MeanOnly:
     considered another form of error, and only mu~ need be estimated" (section 4).
     """
 
-    propagates_covariance: ClassVar[bool] = False
-    differentiates_reward: ClassVar[bool] = False
+    propagates_covariance = False
+    differentiates_reward = False
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """The covariance is left as it is."""

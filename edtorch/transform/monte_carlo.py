@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -24,8 +23,8 @@ class MonteCarlo:
     """
 
     draws: Tensor
-    propagates_covariance: ClassVar[bool] = True
-    differentiates_reward: ClassVar[bool] = False
+    propagates_covariance = True
+    differentiates_reward = False
 
     def __post_init__(self) -> None:
         if self.draws.ndim != 2 or self.draws.shape[0] <= self.draws.shape[1]:

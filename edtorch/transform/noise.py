@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from torch import Tensor
 
@@ -18,7 +17,7 @@ class ConstantNoise:
     """
 
     cov: Tensor
-    positive: ClassVar[bool] = True
+    positive = True
 
     def __call__(self, state: Tensor) -> Tensor:
         """``[*more, *batch, n] -> [*more, *batch, n, n]``."""

@@ -1,7 +1,7 @@
 r"""What the point transforms share: push weighted points through the closed loop, take moments.
 
 Nodes z_k with weights w_k > 0, sum w = 1, sum w z = 0, sum w z z' = I, stand for a standardised
-state; the points are x_k = s~ + L z_k with L L' = Sigma.  With y_k = mu_pi(x_k) and y = sum w_k y_k,
+state; the points are x_k = s~ + L z_k with L L' = Sigma.  With y_k = mu_pi(x_k), y = sum w_k y_k,
 
     sum_k w_k (y_k - y)(y_k - y)' = A Sigma A' + sum_k w_k e_k e_k',
     A L = sum_k w_k (y_k - y) z_k',      e_k = y_k - y - A L z_k,

@@ -17,7 +17,7 @@ def symmetric(matrix: Tensor) -> Tensor:
 
 
 class Floored(NamedTuple):
-    """cov ``[*batch, n, n]`` without negative eigenvalues; began ``[*batch]``: any beyond rounding."""
+    """cov ``[*batch, n, n]``; began ``[*batch]``: whether it had to be lifted, beyond rounding."""
 
     cov: Tensor
     began: Tensor

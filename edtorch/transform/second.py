@@ -3,7 +3,6 @@ r"""Mean and covariance to second order, exact for quadratic closed loops and Ga
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -17,9 +16,12 @@ from edtorch.types import Belief
 
 @dataclass(frozen=True)
 class SecondOrder:
-    r"""mean' = mu + 1/2 H:Sigma, cov' = nu + 1/2 D^2 nu:Sigma + J Sigma J' + 1/2 [tr(H_i Sigma H_j Sigma)].
+    r"""Mean and covariance with the curvature of mu_pi and nu_pi.
 
-    All at the mean, H_i = D^2 mu_pi^i.  For mu_pi quadratic the mean is exact under any
+        mean' = mu + 1/2 H:Sigma,
+        cov' = nu + 1/2 D^2 nu:Sigma + J Sigma J' + 1/2 [tr(H_i Sigma H_j Sigma)]_ij,
+
+    all at the mean, H_i = D^2 mu_pi^i.  For mu_pi quadratic the mean is exact under any
     distribution and the covariance under a Gaussian one (the moments of quadratic forms; Isserlis).
     No square root of Sigma is taken, so it is safe at Sigma = 0.
 
@@ -33,8 +35,8 @@ class SecondOrder:
     ``edtorch.value_error``.
     """
 
-    propagates_covariance: ClassVar[bool] = True
-    differentiates_reward: ClassVar[bool] = True
+    propagates_covariance = True
+    differentiates_reward = True
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """Only without the noise's curvature."""

@@ -16,7 +16,7 @@ def point_belief(state: Tensor) -> Belief:
 
 
 def data_belief(states: Tensor) -> Belief:
-    r"""s'_0 = (E_D[s], cov_D[s]) (section 3), where D gives each of N recorded states the weight 1/N.
+    """s'_0 = (E_D[s], cov_D[s]) (section 3), D being the law of N recorded states, each 1/N.
 
     states ``[*batch, N, n]``, N >= 1.  The covariance is that of D itself, divided by N: one state
     is a point belief.  Raises ShapeError without a state, NonFiniteError with a bad one.
