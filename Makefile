@@ -45,7 +45,7 @@ bench: $(VENV)/.dev  ## speed, one file a question
 	@ls benchmarks/*.py >/dev/null 2>&1 || echo "benchmarks/ holds no benchmark yet"
 	@set -e; for file in benchmarks/[!_]*.py; do \
 	    [ -f "$$file" ] || continue; \
-	    echo "== $$file"; $(PY) "$$file" $(ARGS); \
+	    echo "== $$file"; PYTHONPATH=. $(PY) "$$file" $(ARGS); \
 	done
 
 env: $(VENV)/.core  ## the environment, with edtorch in it

@@ -47,6 +47,8 @@ def choose_path(
         obstacles.append("the reward is not quadratic")
     if transform.propagates_covariance:
         obstacles.append("the transform propagates the covariance")
+    if horizon.first_step == 0:
+        obstacles.append("the value counts the reward of the present state")
     if wish == "closed_form" and obstacles:
         raise ValueError(f"no closed form: {'; '.join(obstacles)}")
     if wish == "generic" or obstacles or not isinstance(reward, QuadraticReward):

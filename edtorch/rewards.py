@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
 
 import torch
 from torch import Tensor
-from torch.func import jacrev
 
+from edtorch.derivatives import StateFunction, curvature, rowwise_jacobian
 from edtorch.types import Belief
-
-StateFunction = Callable[[Tensor], Tensor]
-"""A function of states that works row by row: ``[*batch, n] -> [*batch, ...]``."""
 
 
 class Reward(Protocol):
-    """r(s, a), ``[*batch]``, of states ``[*batch, n]`` and actions ``[*batch, m]``, scaled."""
+    """r(s, a), ``[*batch]``, of states ``[*batch, n]`` and actions ``[*batch, m]``, scaled.
+
+    Two optional attributes are read where they exist: ``smooth = False`` declares that r has no
+    second derivatives everywhere, and is refused by transforms that take them; ``actions`` is the
+    m that r expects, for the checks of ``edtorch.checks``.
+    """
 
     def __call__(self, state: Tensor, action: Tensor) -> Tensor:
         """The reward of each row."""
@@ -42,6 +43,7 @@ class QuadraticReward:
                 raise ValueError(f"{name} has eigenvalue {smallest:.3g}, expected all >= 0")
         self.state_cost = state_cost
         self.action_cost = action_cost
+        self.actions = action_cost.shape[0]
         self.costs_actions = bool((action_cost != 0).any())
 
     def __call__(self, state: Tensor, action: Tensor) -> Tensor:
@@ -52,31 +54,17 @@ class QuadraticReward:
         return -cost
 
 
-def rowwise_jacobian(function: StateFunction, state: Tensor) -> Tensor:
-    """Jacobian of a row-by-row ``function`` at each row of ``state`` by ``torch.func.jacrev``.
-
-    state ``[*batch, n]``, function ``[*batch, n] -> [*batch, p]``; returns ``[*batch, p, n]``.
-    Rows do not mix, so the Jacobian of the sum over rows holds every row's own Jacobian.
-    """
-
-    def summed(x: Tensor) -> Tensor:
-        out = function(x)
-        return out.reshape(-1, out.shape[-1]).sum(0)
-
-    jacobian = jacrev(summed)(state)
-    return torch.movedim(jacobian, 0, -2)
-
-
 def expected_reward(reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
     """E[r_pi] = r_pi(mean) + 1/2 tr(D^2 r_pi(mean) cov) (eq. 1; Fig. 1 step 6c), ``[*batch]``.
 
-    r_pi(s) = r(s, pi(s)): the Hessian includes the policy.  Exact for quadratic r_pi and any
+    r_pi(s) = r(s, pi(s)): the curvature includes the policy's.  Exact for quadratic r_pi and any
     distribution with this mean and covariance; second order otherwise.
     """
 
-    def gradient(s: Tensor) -> Tensor:
-        return rowwise_jacobian(lambda x: reward(x, policy(x)).unsqueeze(-1), s).squeeze(-2)
+    def closed(s: Tensor) -> Tensor:
+        return reward(s, policy(s))
 
-    hessian = rowwise_jacobian(gradient, belief.mean)
-    mean_reward = reward(belief.mean, policy(belief.mean))
-    return mean_reward + 0.5 * (hessian * belief.cov).sum((-1, -2))
+    return closed(belief.mean) + 0.5 * curvature(closed, belief.mean, belief.cov)
+
+
+__all__ = ["QuadraticReward", "Reward", "StateFunction", "expected_reward", "rowwise_jacobian"]

@@ -57,13 +57,17 @@ class Trajectory:
     """An unrolled horizon.
 
     mean ``[T+1, *batch, n]``, cov ``[T+1, *batch, n, n]``, reward ``[T, *batch]`` (expected reward
-    r~ of steps 1..T, Fig. 1 step 6c), value ``[*batch]`` (their discounted sum, step 6d).
+    r~ of steps 1..T, Fig. 1 step 6c; ``[T+1, *batch]``, of steps 0..T, where the horizon's reading
+    is the definition's), value ``[*batch]`` (their discounted sum, step 6d), first_floored
+    ``[*batch]`` int64 (the first step whose covariance had lost its positive semidefiniteness and
+    was floored, -1 if none).
     """
 
     mean: Tensor
     cov: Tensor
     reward: Tensor
     value: Tensor
+    first_floored: Tensor
 
 
 @tree_dataclass

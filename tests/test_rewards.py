@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from edtorch.rewards import QuadraticReward, expected_reward, rowwise_jacobian
+from edtorch.derivatives import rowwise_jacobian
+from edtorch.rewards import QuadraticReward, expected_reward
 from edtorch.types import Belief
 from tests.systems import normal, random_cost
 
@@ -55,6 +56,42 @@ def test_hessian_includes_the_policy() -> None:
     belief = Belief(torch.ones(2, 1).double(), torch.full((2, 1, 1), 0.01, dtype=torch.float64))
     expected = expected_reward(reward, belief, lambda s: s**3)
     assert expected.tolist() == pytest.approx([-1 - 0.15] * 2, rel=1e-12)
+
+
+def test_curvature_of_the_reward_through_the_policy_against_finite_differences() -> None:
+    # A squashed policy makes r_pi far from quadratic although r is quadratic.
+    g = torch.Generator().manual_seed(3)
+    reward, gain, mean, cov = quadratic(), normal(g, 2, 3), normal(g, 3), random_cost(g, 3)
+
+    def policy(s: Tensor) -> Tensor:
+        return torch.tanh(s @ gain.T)
+
+    def closed(s: Tensor) -> Tensor:
+        return reward(s, policy(s))
+
+    h = 1e-4
+    steps = h * torch.eye(3).double()
+    hessian = torch.stack(
+        [
+            torch.stack(
+                [
+                    (closed(mean + u + v) - closed(mean + u - v) - closed(mean - u + v))
+                    + closed(mean - u - v)
+                    for v in steps
+                ]
+            )
+            for u in steps
+        ]
+    ) / (4 * h * h)
+    wanted = closed(mean) + 0.5 * (hessian * cov).sum()
+    expected = expected_reward(reward, Belief(mean, cov), policy)
+    assert torch.allclose(expected, wanted, rtol=1e-5)
+    # Without the policy's curvature it would be another number.
+    slope = torch.func.jacrev(policy)(mean)
+    naive = expected_reward(
+        reward, Belief(mean, cov), lambda s: policy(mean) + (s - mean) @ slope.T
+    )
+    assert abs(float(naive - wanted)) > 1e-3 * abs(float(wanted))
 
 
 @pytest.mark.parametrize(

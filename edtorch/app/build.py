@@ -189,12 +189,16 @@ def build(config: DictConfig) -> Setup:
     model = _build_model(config.model, world, dtype, config.seed)
     policy = build_policy(config.policy, sim, dtype, config.seed)
     reward = build_reward(config.reward, sim, dtype)
-    transform = construct("transform", config.transform, "move", "reward")
+    transform = construct("transform", config.transform, "move", "reward", "keeps_positive")
     with under("unroll"):
         euler = isinstance(model, DerivativeModel)
         step = config.unroll.dt if euler else world.dt
         horizon = Horizon(
-            config.unroll.horizon, step, config.unroll.discount, step if euler else 1.0
+            config.unroll.horizon,
+            step,
+            config.unroll.discount,
+            step if euler else 1.0,
+            config.unroll.reading,
         )
     if config.unroll.path not in get_args(Wish):
         raise ConfigError(

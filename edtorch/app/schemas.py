@@ -159,12 +159,14 @@ class TransformConfig:
 @dataclass
 class UnrollConfig:
     """horizon: steps; dt: seconds a step (derivative form); discount: per second, or per step;
-    path: auto, closed_form or generic."""
+    path: auto, closed_form or generic; reading: figure or definition, see
+    ``edtorch.unroll.Horizon``."""
 
     horizon: int = 30
     dt: float = 0.051
     discount: float = 1.0
     path: str = "auto"
+    reading: str = "figure"
 
 
 @dataclass

@@ -1,0 +1,192 @@
+"""What each transform's moments, rewards and values miss, and what it costs.
+
+Random smooth systems (tests/smooth_systems.py), the truth by coupled Monte Carlo.  Errors are
+medians over the systems; gain is first's error over the transform's, system by system.  Cost is
+CPU time of value and gradient with respect to the policy, transforms taking turns within one run,
+as a ratio to ``first``.  Writes JSON beside the table:
+
+    python -m benchmarks.transforms [--sizes 1 2 5 14] [--systems 12] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import statistics
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.func import grad_and_value
+
+from edtorch.transform import (
+    Cubature,
+    FirstOrder,
+    GaussHermite,
+    MeanOnly,
+    SecondOrder,
+    Transform,
+    point_belief,
+)
+from edtorch.types import Trajectory
+from edtorch.unroll import Horizon, propagate
+from tests.smooth_systems import SmoothSystem, Truth, coupled_monte_carlo, random_system
+
+QUANTITIES = ("mean", "cov", "reward", "value")
+
+
+def transforms(n: int) -> dict[str, Transform]:
+    every: dict[str, Transform] = {
+        "mean_only": MeanOnly(),
+        "first": FirstOrder(),
+        "second": SecondOrder(),
+        "cubature": Cubature(),
+    }
+    if n <= 5:
+        every["gauss_hermite"] = GaussHermite(3)
+    return every
+
+
+def trajectory(system: SmoothSystem, transform: Transform) -> Trajectory:
+    return propagate(
+        point_belief(system.start),
+        system.closed_loop,
+        system.policy,
+        reward=system.reward,
+        transform=transform,
+        noise=system.noise,
+        horizon=Horizon(system.horizon, 1.0, system.discount, 1.0),
+    )
+
+
+def errors(found: Trajectory, truth: Truth) -> dict[str, float]:
+    """Median over the steps of each error's norm; the value's absolute error."""
+    return {
+        "mean": float((found.mean[1:] - truth.mean).norm(dim=-1).median()),
+        "cov": float((found.cov[1:] - truth.cov).flatten(1).norm(dim=-1).median()),
+        "reward": float((found.reward - truth.reward).abs().median()),
+        "value": float((found.value - truth.value).abs()),
+    }
+
+
+def value_and_gradient(system: SmoothSystem, transform: Transform) -> Tensor:
+    def value(W: Tensor, b: Tensor) -> Tensor:
+        return trajectory(replace(system, W=W, b=b), transform).value
+
+    return grad_and_value(value, argnums=(0, 1))(system.W, system.b)[1]
+
+
+def cost(system: SmoothSystem, rounds: int, calls: int) -> dict[str, float]:
+    """CPU ms of value and gradient, transforms in turn; medians over the rounds."""
+    samples: dict[str, list[float]] = {}
+    for _ in range(rounds):
+        for name, transform in transforms(len(system.start)).items():
+            value_and_gradient(system, transform)
+            began = time.process_time()
+            for _ in range(calls):
+                value_and_gradient(system, transform)
+            spent = (time.process_time() - began) / calls * 1e3
+            samples.setdefault(name, []).append(spent)
+    return {name: statistics.median(s) for name, s in samples.items()}
+
+
+def measure(n: int, options: argparse.Namespace) -> dict:
+    """The rows of one size."""
+    found: dict[str, list[dict[str, float]]] = {}
+    ratios, floor = [], []
+    for seed in range(options.systems):
+        system = random_system(n, seed, options.nl, options.noise, options.v0)
+        generator = torch.Generator().manual_seed(1_000_000 + seed)
+        truth = coupled_monte_carlo(system, options.samples, generator)
+        values = {}
+        for name, transform in transforms(n).items():
+            path = trajectory(system, transform)
+            values[name] = path.value
+            found.setdefault(name, []).append(errors(path, truth))
+        missing = truth.value - values["first"]
+        ratios.append(float((values["second"] - values["first"]) / missing))
+        floor.append(float(truth.value_error / missing.abs()))
+    milliseconds = cost(random_system(n, 0, options.nl, options.noise, options.v0), 5, 5)
+    rows = {}
+    for name, cases in found.items():
+        error = {q: statistics.median(c[q] for c in cases) for q in QUANTITIES}
+        first = found["first"]
+        gain = {
+            q: statistics.median(f[q] / c[q] for f, c in zip(first, cases, strict=True))
+            for q in QUANTITIES
+        }
+        rows[name] = {
+            "error": error,
+            "gain": gain,
+            "ratio_of_medians": {
+                q: statistics.median(f[q] for f in first) / error[q] for q in QUANTITIES
+            },
+            "ms": milliseconds[name],
+            "cost": milliseconds[name] / milliseconds["first"],
+        }
+    return {
+        "transforms": rows,
+        "indicator_ratio": {
+            "median": statistics.median(ratios),
+            "quartiles": statistics.quantiles(ratios, n=4),
+        },
+        "standard_error_over_first_error": statistics.median(floor),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[1, 2, 5, 14])
+    parser.add_argument("--systems", type=int, default=12)
+    parser.add_argument("--samples", type=int, default=400_000)
+    parser.add_argument("--nl", type=float, default=0.6)
+    parser.add_argument("--v0", type=float, default=0.05)
+    parser.add_argument("--noise", choices=("gaussian", "uniform"), default="gaussian")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    table = {}
+    for n in options.sizes:
+        table[n] = measure(n, options)
+        print(
+            f"n = {n}: value error estimate / error of first: median "
+            f"{table[n]['indicator_ratio']['median']:.2f}; Monte Carlo standard error / error of "
+            f"first: {table[n]['standard_error_over_first_error']:.1e}"
+        )
+        print(f"{'':15}{'median error':^40}{'median gain over first':^32}{'ms':>7}{'cost':>7}")
+        print(
+            f"{'':15}"
+            + "".join(f"{q:>10}" for q in QUANTITIES)
+            + "".join(f"{q:>8}" for q in QUANTITIES)
+        )
+        for name, row in table[n]["transforms"].items():
+            cells = "".join(f"{row['error'][q]:10.1e}" for q in QUANTITIES)
+            gains = "".join(f"{row['gain'][q]:8.1f}" for q in QUANTITIES)
+            print(f"{name:15}{cells}{gains}{row['ms']:7.1f}{row['cost']:7.2f}", flush=True)
+    if options.json is not None:
+        content = {
+            "command": " ".join(["python", "-m", "benchmarks.transforms", *sys.argv[1:]]),
+            "seeds": list(range(options.systems)),
+            "settings": {
+                "samples": options.samples,
+                "nl": options.nl,
+                "v0": options.v0,
+                "noise": options.noise,
+                "horizon": 10,
+                "discount": 0.95,
+            },
+            "results": table,
+            "torch": torch.__version__,
+            "python": platform.python_version(),
+            "machine": platform.processor() or platform.machine(),
+            "threads": 1,
+        }
+        options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""The closed loop mu_pi(s) = mu~(s, pi(s)) of given parameters, as the transforms take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+from torch.func import functional_call
+
+from edtorch.models import Model
+from edtorch.policies import LinearPolicy
+from edtorch.types import Parameters
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """A model and a policy, each with the parameters of a whole population, over ``dt`` seconds."""
+
+    model: Model
+    policy: LinearPolicy
+    model_parameters: Parameters
+    policy_parameters: Parameters
+    dt: float
+
+    def act(self, state: Tensor) -> Tensor:
+        """pi(s), ``[*batch, n] -> [*batch, m]``."""
+        return functional_call(self.policy, self.policy_parameters, (state,))
+
+    def __call__(self, state: Tensor) -> Tensor:
+        """mu_pi(s), ``[*batch, n] -> [*batch, n]``."""
+        return functional_call(self.model, self.model_parameters, (state, self.act(state), self.dt))
+
+    def jacobian(self, state: Tensor) -> Tensor | None:
+        """F + G theta ``[*batch, n, n]`` where model and policy are linear in the state or None."""
+        dynamics = self.model.linear_dynamics(self.model_parameters["weight"], self.dt)
+        gain = self.policy.linear_gain(self.policy_parameters["weight"])
+        if dynamics is None or gain is None:
+            return None
+        closed = dynamics.state + dynamics.action @ gain
+        return closed.expand(*state.shape, state.shape[-1])

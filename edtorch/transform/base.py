@@ -1,0 +1,49 @@
+"""What a transform is: one step of the deterministic process M' (eq. 2; section 3)."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from torch import Tensor
+
+from edtorch.derivatives import StateFunction
+from edtorch.rewards import Reward
+from edtorch.types import Belief
+
+
+class Transform(Protocol):
+    """How mean and covariance move through the closed loop mu_pi, and what they earn.
+
+    Transforms are pure, differentiable, and take any leading dimensions ``*batch``.
+    """
+
+    @property
+    def propagates_covariance(self) -> bool:
+        """Whether nu~ enters."""
+        ...
+
+    @property
+    def differentiates_reward(self) -> bool:
+        """Whether ``reward`` takes second derivatives of r_pi, which must then exist."""
+        ...
+
+    def keeps_positive(self, noise: StateFunction) -> bool:
+        """Whether ``move`` makes a positive semidefinite covariance of one, by construction.
+
+        Where it does not, ``edtorch.unroll`` checks the eigenvalues at every step, floors them and
+        says where that began.
+        """
+        ...
+
+    def move(self, belief: Belief, closed_loop: StateFunction, noise: StateFunction) -> Belief:
+        """The belief one step later.
+
+        closed_loop: mu_pi ``[*batch, n] -> [*batch, n]``, perhaps with a method ``jacobian`` (see
+        ``edtorch.derivatives.loop_jacobian``); noise: nu_pi ``[*batch, n] -> [*batch, n, n]``, the
+        covariance of the next state given this one, over that step.
+        """
+        ...
+
+    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
+        """Expected reward ``[*batch]`` of a belief under the policy."""
+        ...

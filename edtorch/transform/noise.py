@@ -1,0 +1,32 @@
+"""Noise as the transforms take it: nu_pi, a function of the state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from edtorch.derivatives import StateFunction
+
+
+@dataclass(frozen=True)
+class ConstantNoise:
+    """nu_pi(s) = cov, wherever s is.
+
+    cov ``[*batch, n, n]``, positive semidefinite, per step, in squared units of the state.
+    """
+
+    cov: Tensor
+    positive = True
+
+    def __call__(self, state: Tensor) -> Tensor:
+        """``[*more, *batch, n] -> [*more, *batch, n, n]``."""
+        return self.cov.expand(*state.shape, state.shape[-1])
+
+
+def is_positive(noise: StateFunction) -> bool:
+    """Whether a noise function declares (``positive = True``) that all its values are covariances.
+
+    One that declares nothing is not believed: the unroll then watches the eigenvalues.
+    """
+    return bool(getattr(noise, "positive", False))

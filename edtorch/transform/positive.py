@@ -1,0 +1,39 @@
+"""Keeping a covariance symmetric and positive semidefinite."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+TOLERANCE = 1e-12
+"""Eigenvalues above -TOLERANCE times the largest are rounding, not trouble."""
+
+
+def symmetric(matrix: Tensor) -> Tensor:
+    """(A + A') / 2: removes what rounding has put between A and A'."""
+    return 0.5 * (matrix + matrix.mT)
+
+
+class Floored(NamedTuple):
+    """cov ``[*batch, n, n]``; began ``[*batch]``: whether it had to be lifted, beyond rounding."""
+
+    cov: Tensor
+    began: Tensor
+
+
+def floored(cov: Tensor) -> Floored:
+    """The nearest positive semidefinite matrix: negative eigenvalues become 0.
+
+    cov ``[*batch, n, n]``, symmetric.  The lift that this adds is taken as a constant in
+    derivatives: the gradient of the eigenvectors does not exist where eigenvalues meet, at Sigma =
+    0 for a start.  Where nothing was negative beyond rounding, value and gradient are the input's.
+    Rows that are not finite are handed back as they are, for the caller's checks to find.
+    """
+    values, vectors = torch.linalg.eigh(torch.nan_to_num(cov.detach(), 0.0, 0.0, 0.0))
+    # In float32 rounding itself is larger than TOLERANCE.
+    tolerance = max(TOLERANCE, 10 * torch.finfo(cov.dtype).eps)
+    began = values[..., 0] < -tolerance * values.abs().amax(-1)
+    lift = (vectors * (-values).clamp(min=0).unsqueeze(-2)) @ vectors.mT
+    return Floored(torch.where(began[..., None, None], symmetric(cov + lift), cov), began)

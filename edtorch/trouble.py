@@ -1,0 +1,27 @@
+"""What can be wrong with an input, and what can go wrong with numbers, by name."""
+
+from __future__ import annotations
+
+
+class ShapeError(ValueError):
+    """A tensor, or what a function returned, has the wrong shape."""
+
+
+class NonFiniteError(ValueError):
+    """An input holds NaN or infinity."""
+
+
+class AsymmetryError(ValueError):
+    """A covariance is not symmetric, beyond rounding."""
+
+
+class IndefiniteError(ValueError):
+    """A covariance has a negative eigenvalue, beyond rounding."""
+
+
+class NonSmoothError(ValueError):
+    """A reward has no second derivatives, and the transform takes them."""
+
+
+class CovarianceFloored(UserWarning):
+    """A covariance lost its positive semidefiniteness on the way and was floored from there on."""

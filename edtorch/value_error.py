@@ -1,0 +1,42 @@
+"""How far off the value of the first-order transform is, estimated by the second-order one."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from edtorch.derivatives import StateFunction
+from edtorch.rewards import Reward
+from edtorch.transform import FirstOrder, SecondOrder
+from edtorch.types import Belief
+from edtorch.unroll import Horizon, propagate
+
+
+def value_error_estimate(
+    start: Belief,
+    closed_loop: StateFunction,
+    policy: StateFunction,
+    *,
+    reward: Reward,
+    noise: StateFunction,
+    horizon: Horizon,
+) -> Tensor:
+    """V'_second - V'_first ``[*batch]``: an estimate, with its sign, of V - V'_first.
+
+    Same start, closed loop, policy and reward in both; arguments as in ``edtorch.unroll.unroll``.
+    The paper's Theorems 1 to 4 bound |V - V'_first|; this is the leading term of it instead, with
+    no claim to be a bound: it leaves out third derivatives and the distribution's own shape.  Pure
+    and differentiable; in units of the value.
+    """
+
+    def value(transform: FirstOrder | SecondOrder) -> Tensor:
+        return propagate(
+            start,
+            closed_loop,
+            policy,
+            reward=reward,
+            transform=transform,
+            noise=noise,
+            horizon=horizon,
+        ).value
+
+    return value(SecondOrder()) - value(FirstOrder())
