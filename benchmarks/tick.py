@@ -55,7 +55,7 @@ def parts(size: int) -> dict[str, Callable[[], object]]:
     # Tensors of the loop are inference tensors, which cannot be differentiated: copies can.
     copied_model = {name: p.clone() for name, p in model.items()}
     copied_policy = {name: p.clone() for name, p in policy.items()}
-    copied_noise, copied_state = noise.clone(), state.clone()
+    copied_state = state.clone()
     return {
         "whole tick": lambda: training.advance(1),
         "simulator step": lambda: world.step(here.world, action, uniform),
@@ -65,7 +65,7 @@ def parts(size: int) -> dict[str, Callable[[], object]]:
         ),
         "value and gradient, closed form": lambda: setup.learner.value(model, policy, noise, state),
         "value and gradient, generic": lambda: setups["generic"].learner.value(
-            copied_model, copied_policy, copied_noise, copied_state
+            copied_model, copied_policy, noise, copied_state
         ),
     }
 

@@ -171,7 +171,7 @@ class BayesianLeastSquares:
     The weights of each output have the prior N(0, sigma^2 / a I) and the posterior covariance
     sigma^2 P, P = (A + a I)^-1, A = sum phi phi'.  The precision a, shared by the outputs, is the
     one of a grid (``priors`` values of 1 / a from 10^-3 to 10^6) with the greatest marginal
-    likelihood, each output's sigma^2 profiled out (MacKay, "Bayesian interpolation", 1992). 
+    likelihood, each output's sigma^2 profiled out (MacKay, "Bayesian interpolation", 1992).
     Everything follows from sums over the samples, so that no sample is kept.
     """
 

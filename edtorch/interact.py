@@ -91,7 +91,8 @@ class Experience:
 @dataclass(frozen=True)
 class Snapshot:
     """The population at one moment, per learner; value, gradient and error are means since the
-    snapshot before (NaN for a learner that did not learn in between)."""
+    snapshot before (NaN for a learner that did not learn in between).  value_error: the value error
+    estimate, where it was asked for."""
 
     seconds: float
     seeds: list[int]
@@ -104,6 +105,7 @@ class Snapshot:
     gradient: list[float]
     error: list[float]
     policy_norm: list[float]
+    value_error: list[float] | None = None
 
 
 class Trail:

@@ -17,6 +17,7 @@ from torch.func import functional_call
 
 from edtorch.fit import Fit
 from edtorch.models import Model
+from edtorch.noise import Noise
 from edtorch.policies import LinearPolicy, explore
 from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
 from edtorch.unroll import ValuePath
@@ -35,25 +36,6 @@ class Check(IntEnum):
     """So is the model after the fit; if not, its rate is too high for these features."""
     UNROLL = 2
     """So are value and gradient; if not, the model under this policy explodes over the horizon."""
-
-
-@dataclass(frozen=True)
-class ResidualNoise:
-    """Step 2 of Fig. 1 for a full covariance: nu~ <- e e', an exponential average.
-
-    nu~ += rate unit (e e' - nu~), so that nu~ stays a weighted mean of positive semidefinite
-    matrices.  rate: per second (derivative form) or per step; ``rate unit`` is cut off at 1.
-    """
-
-    rate: float
-
-    def __post_init__(self) -> None:
-        if not self.rate >= 0:
-            raise ValueError(f"rate={self.rate}: expected a number >= 0")
-
-    def update(self, noise: Tensor, squared: Tensor, unit: Tensor) -> Tensor:
-        """nu~ ``[*batch, n, n]`` moved towards ``squared``."""
-        return torch.lerp(noise, squared, (self.rate * unit).clamp(max=1.0))
 
 
 def population(template: torch.nn.Module, size: int) -> Parameters:
@@ -88,7 +70,7 @@ class Learner:
     model: Model
     policy: LinearPolicy
     fit: Fit
-    noise: ResidualNoise | None
+    noise: Noise | None
     value: ValuePath
     step_rule: Step
     exploration: float
@@ -99,15 +81,14 @@ class Learner:
 
     def initial(self, seeds: Sequence[int]) -> LearnerState:
         """Learners that know nothing yet, one per seed."""
-        size, n = len(seeds), self.model.states
-        weight = self.model.weight
+        size = len(seeds)
         model = population(self.model, size)
         policy = population(self.policy, size)
         return LearnerState(
             model=model,
             policy=policy,
             fit=self.fit.initial(model["weight"]),
-            noise=torch.zeros(size, n, n, dtype=weight.dtype, device=weight.device),
+            noise={} if self.noise is None else self.noise.initial(model["weight"]),
             step=self.step_rule.initial(policy),
             seed=torch.tensor(list(seeds), dtype=torch.int64),
             tick=torch.zeros(size, dtype=torch.int64),
@@ -139,7 +120,8 @@ class Learner:
         noise = state.noise
         if self.noise is not None:
             squared = self.model.residual_noise(fitted.residual, transition.dt)
-            noise = select(learn, self.noise.update(noise, squared, unit), noise)
+            moved = self.noise.update(noise, squared, phi, state.fit, unit)
+            noise = _where(learn, moved, noise)
 
         # 3-6: value and gradient from where the transition ended; 7: the policy.
         here = self.value(model, state.policy, noise, transition.next_state)

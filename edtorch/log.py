@@ -64,12 +64,13 @@ class CsvSink:
         self._episodes_file = (folder / "episodes.csv").open("w", newline="", encoding="utf-8")
         self._metrics = csv.writer(self._metrics_file)
         self._episodes = csv.writer(self._episodes_file)
-        self._metrics.writerow(("seconds", "seed", *self.METRICS))
+        self._metrics.writerow(("seconds", "seed", *self.METRICS, "value_error_estimate"))
         self._episodes.writerow(("seed", "episode", "start_s", "seconds", "outcome"))
 
     def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
         """Append the rows."""
         columns = [getattr(snapshot, name) for name in self.METRICS]
+        columns.append(snapshot.value_error or [math.nan] * len(snapshot.seeds))
         for seed, *row in zip(snapshot.seeds, *columns, strict=True):
             self._metrics.writerow((f"{snapshot.seconds:g}", seed, *(_plain(v) for v in row)))
         for e in episodes:
@@ -114,6 +115,8 @@ class TensorBoardSink:
             "learning/policy_norm": median(snapshot.policy_norm),
             "population/active": float(sum(snapshot.active)),
         }
+        if snapshot.value_error is not None:
+            scalars["learning/value error estimate"] = median(snapshot.value_error)
         for name in ("falls", "rides"):
             counts = [float(v) for v in getattr(snapshot, name)]
             scalars |= {

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
+import torch
 from torch import Tensor
 from torch.func import functional_call
 
 from edtorch.models import Model
+from edtorch.noise import Noise
 from edtorch.policies import LinearPolicy
 from edtorch.types import Parameters
 
@@ -38,3 +41,20 @@ class ClosedLoop:
             return None
         closed = dynamics.state + dynamics.action @ gain
         return closed.expand(*state.shape, state.shape[-1])
+
+
+@dataclass(frozen=True)
+class LoopNoise:
+    """nu_pi(s) = nu~(s, pi(s)) over one step of ``loop``, from a learned rule and its memory."""
+
+    loop: ClosedLoop
+    rule: Noise
+    memory: Parameters
+    positive: ClassVar[bool] = True
+
+    def __call__(self, state: Tensor) -> Tensor:
+        """``[*batch, n] -> [*batch, n, n]``."""
+        model = self.loop.model
+        phi = model.features(torch.cat([state, self.loop.act(state)], dim=-1))
+        cov = model.noise_over(self.rule.covariance(self.memory, phi), self.loop.dt)
+        return cov.expand(*state.shape, state.shape[-1])

@@ -8,7 +8,7 @@ form, per step in the next-state form.  All results are positive semidefinite by
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
@@ -25,8 +25,8 @@ class Noise(Protocol):
         """Whether nu~ is the same for every state and action."""
         ...
 
-    def initial(self, size: int, states: int, features: int, dtype: torch.dtype) -> Parameters:
-        """The memory of ``size`` learners of n states, whose models have k features."""
+    def initial(self, weight: Tensor) -> Parameters:
+        """The memory for models of weights ``[*batch, n, k]``."""
         ...
 
     def update(
@@ -62,14 +62,15 @@ class ResidualNoise:
     """
 
     rate: float
-    is_constant: bool = True
+    is_constant: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)
 
-    def initial(self, size: int, states: int, features: int, dtype: torch.dtype) -> Parameters:
-        """nu ``[size, n, n]``, zero."""
-        return {"nu": torch.zeros(size, states, states, dtype=dtype)}
+    def initial(self, weight: Tensor) -> Parameters:
+        """nu ``[*batch, n, n]``, zero."""
+        n = weight.shape[-2]
+        return {"nu": weight.new_zeros(*weight.shape[:-2], n, n)}
 
     def update(
         self, memory: Parameters, squared: Tensor, phi: Tensor, fit: Parameters, unit: Tensor
@@ -93,14 +94,15 @@ class LinearNoise:
     """
 
     rate: float
-    is_constant: bool = False
+    is_constant: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)
 
-    def initial(self, size: int, states: int, features: int, dtype: torch.dtype) -> Parameters:
-        """V ``[size, 1 + k, n, n]``, zero."""
-        return {"V": torch.zeros(size, 1 + features, states, states, dtype=dtype)}
+    def initial(self, weight: Tensor) -> Parameters:
+        """V ``[*batch, 1 + k, n, n]``, zero."""
+        *batch, n, k = weight.shape
+        return {"V": weight.new_zeros(*batch, 1 + k, n, n)}
 
     def update(
         self, memory: Parameters, squared: Tensor, phi: Tensor, fit: Parameters, unit: Tensor
@@ -141,19 +143,17 @@ class BayesianNoise:
 
     rate: float
     stretch: float = 1.0
-    is_constant: bool = False
+    is_constant: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)
         if not self.stretch > 0:
             raise ValueError(f"stretch={self.stretch}: expected a number > 0")
 
-    def initial(self, size: int, states: int, features: int, dtype: torch.dtype) -> Parameters:
-        """nu ``[size, n, n]`` and P ``[size, k, k]``, zero."""
-        return {
-            "nu": torch.zeros(size, states, states, dtype=dtype),
-            "P": torch.zeros(size, features, features, dtype=dtype),
-        }
+    def initial(self, weight: Tensor) -> Parameters:
+        """nu ``[*batch, n, n]`` and P ``[*batch, k, k]``, zero."""
+        *batch, n, k = weight.shape
+        return {"nu": weight.new_zeros(*batch, n, n), "P": weight.new_zeros(*batch, k, k)}
 
     def update(
         self, memory: Parameters, squared: Tensor, phi: Tensor, fit: Parameters, unit: Tensor

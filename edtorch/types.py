@@ -75,15 +75,15 @@ class LearnerState:
     """Everything that a population of B learners knows; saving it is saving them.
 
     model, policy: parameters with leading ``[B]``; fit: the estimator's own tensors;
-    noise: nu~ ``[B, n, n]``; step: the policy step rule's own tensors; seed ``[B]`` int64 and
-    tick ``[B]`` int64 (together they are the state of the random stream, see ``edtorch.streams``);
+    noise: the memory of the rule for nu~; step: the policy step rule's own tensors; seed ``[B]``
+    int64 and tick ``[B]`` int64 (together the state of the random stream, ``edtorch.streams``);
     sound_ticks ``[B]`` int64: ticks before the first one whose numbers were not all finite.
     """
 
     model: Parameters
     policy: Parameters
     fit: Parameters
-    noise: Tensor
+    noise: Parameters
     step: Parameters
     seed: Tensor
     tick: Tensor

@@ -16,8 +16,9 @@ from torch.func import grad_and_value
 
 from edtorch.checks import check_parts, check_smooth, warn_if_floored
 from edtorch.derivatives import StateFunction
-from edtorch.loop import ClosedLoop
+from edtorch.loop import ClosedLoop, LoopNoise
 from edtorch.models import Model
+from edtorch.noise import Noise
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import Reward
 from edtorch.transform import ConstantNoise, Transform, point_belief
@@ -167,7 +168,7 @@ class ValueGradient:
 
 
 class ValuePath(Protocol):
-    """A way to the value and its gradient: (model, policy, noise, state ``[B, n]``).
+    """A way to the value and its gradient: (model, policy, memory of nu~, state ``[B, n]``).
 
     needs_autograd: whether it differentiates with torch; a loop over one that does not may run in
     torch's inference mode, which is a fifth faster.
@@ -179,7 +180,7 @@ class ValuePath(Protocol):
         ...
 
     def __call__(
-        self, model: Parameters, policy: Parameters, noise: Tensor, state: Tensor
+        self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """Value of unrolling from ``state`` and dV/dtheta, learner by learner."""
         ...
@@ -198,6 +199,8 @@ class Generic:
     reward: Reward
     transform: Transform
     horizon: Horizon
+    noise: Noise | None = None
+    start_cov: Tensor | None = None
     needs_autograd: bool = True
 
     def __post_init__(self) -> None:
@@ -207,8 +210,21 @@ class Generic:
         """mu_pi with these parameters."""
         return ClosedLoop(self.model, self.policy, model, policy, self.horizon.dt)
 
+    def noise_of(self, loop: ClosedLoop, memory: Parameters, state: Tensor) -> StateFunction:
+        """nu_pi of a closed loop; zero without a rule."""
+        if self.noise is None:
+            n = state.shape[-1]
+            return ConstantNoise(state.new_zeros(n, n))
+        return LoopNoise(loop, self.noise, memory)
+
+    def start(self, state: Tensor) -> Belief:
+        """The belief that the unroll from an observed state begins with."""
+        if self.start_cov is None:
+            return point_belief(state)
+        return Belief(state, self.start_cov.expand(*state.shape, state.shape[-1]))
+
     def trajectory(
-        self, model: Parameters, policy: Parameters, noise: Tensor, start: Belief
+        self, model: Parameters, policy: Parameters, noise: Parameters, start: Belief
     ) -> Trajectory:
         """The unrolled horizon from ``start``."""
         loop = self.loop(model, policy)
@@ -218,17 +234,17 @@ class Generic:
             loop.act,
             reward=self.reward,
             transform=self.transform,
-            noise=ConstantNoise(self.model.noise_over(noise, self.horizon.dt)),
+            noise=self.noise_of(loop, noise, start.mean),
             horizon=self.horizon,
         )
 
     def __call__(
-        self, model: Parameters, policy: Parameters, noise: Tensor, state: Tensor
+        self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``ValuePath``."""
 
         def total(parameters: Parameters) -> tuple[Tensor, Tensor]:
-            value = self.trajectory(model, parameters, noise, point_belief(state)).value
+            value = self.trajectory(model, parameters, noise, self.start(state)).value
             return value.sum(), value
 
         gradient, (_, value) = grad_and_value(total, has_aux=True)(policy)

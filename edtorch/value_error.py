@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from torch import Tensor
 
 from edtorch.derivatives import StateFunction
 from edtorch.rewards import Reward
 from edtorch.transform import FirstOrder, SecondOrder
-from edtorch.types import Belief
-from edtorch.unroll import Horizon, propagate
+from edtorch.types import Belief, LearnerState
+from edtorch.unroll import Generic, Horizon, propagate
 
 
 def value_error_estimate(
@@ -40,3 +42,30 @@ def value_error_estimate(
         ).value
 
     return value(SecondOrder()) - value(FirstOrder())
+
+
+@dataclass(frozen=True)
+class ValueErrorIndicator:
+    """``value_error_estimate`` for a population of learners where they stand.
+
+    generic: the generic path of the same model, policy, reward and noise.
+    """
+
+    generic: Generic
+
+    def __call__(self, learners: LearnerState, state: Tensor) -> Tensor:
+        """``[B]``, from states ``[B, n]``."""
+        # A loop may have made inference tensors, which cannot be differentiated; copies can.
+        model, policy, noise = (
+            {name: p.clone() for name, p in part.items()}
+            for part in (learners.model, learners.policy, learners.noise)
+        )
+        loop = self.generic.loop(model, policy)
+        return value_error_estimate(
+            self.generic.start(state.clone()),
+            loop,
+            loop.act,
+            reward=self.generic.reward,
+            noise=self.generic.noise_of(loop, noise, state),
+            horizon=self.generic.horizon,
+        )

@@ -50,7 +50,7 @@ class LinearCase:
     closed: LinearMeanOnly
     model: dict[str, Tensor]
     policy: dict[str, Tensor]
-    noise: Tensor
+    noise: dict[str, Tensor]
     state: Tensor
 
 
@@ -74,7 +74,7 @@ def linear_case(
         closed=paths[1],
         model={"weight": normal(g, batch, n, n + m)},
         policy={"weight": normal(g, batch, m, n)},
-        noise=torch.zeros(batch, n, n, dtype=torch.float64),
+        noise={},
         state=normal(g, batch, n),
     )
 

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch import Tensor
 
-from edtorch.dispatch import choose_path
+from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Identity
 from edtorch.fit import SquaredError
 from edtorch.interact import Budget, Training
-from edtorch.learner import Check, Learner, ResidualNoise
+from edtorch.learner import Check, Learner
 from edtorch.models import DerivativeModel
+from edtorch.noise import ResidualNoise
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import FirstOrder, MeanOnly
@@ -28,16 +28,19 @@ from tests.systems import bicycle_learner, f64, next_state_model
 ONE = torch.tensor(1.0, dtype=torch.float64)
 
 
-def figure1_learner(rate: float, noise_rate: float, alpha: float, horizon: Horizon) -> Learner:
+def figure1_learner(
+    rate: float, noise_rate: float, alpha: float, horizon: Horizon, wish: Wish
+) -> Learner:
     model = next_state_model(1, 1)
     policy = LinearPolicy(1, 1, Identity(1))
     reward = QuadraticReward(f64([[1.0]]), f64([[0.0]]))
-    path = choose_path("auto", model, policy, reward, FirstOrder(), horizon).path
+    noise = ResidualNoise(noise_rate)
+    path = choose_path(wish, model, policy, reward, FirstOrder(), horizon, noise=noise).path
     return Learner(
         model=model,
         policy=policy,
         fit=SquaredError(rate),
-        noise=ResidualNoise(noise_rate),
+        noise=noise,
         value=path,
         step_rule=PlainStep(alpha),
         exploration=0.0,
@@ -61,9 +64,10 @@ def figure1_value(
     return value
 
 
-def test_figure_1_by_hand_in_one_dimension() -> None:
+@pytest.mark.parametrize("wish", ["generic", "closed_form"])
+def test_figure_1_by_hand_in_one_dimension(wish: Wish) -> None:
     rate, noise_rate, alpha, n, gamma = 0.2, 0.3, 0.05, 4, 0.9
-    learner = figure1_learner(rate, noise_rate, alpha, Horizon(n, 1.0, gamma, 1.0))
+    learner = figure1_learner(rate, noise_rate, alpha, Horizon(n, 1.0, gamma, 1.0), wish)
     state = learner.initial([0])
     ws, wa, nu, theta = 0.0, 0.0, 0.0, 0.0
     generator = torch.Generator().manual_seed(0)
@@ -87,7 +91,7 @@ def test_figure_1_by_hand_in_one_dimension() -> None:
         theta += alpha * (up - down) / (2 * h)
 
         assert state.model["weight"][0, 0].tolist() == pytest.approx([ws, wa], rel=1e-9, abs=1e-12)
-        assert float(state.noise) == pytest.approx(nu, rel=1e-9, abs=1e-12)
+        assert float(state.noise["nu"]) == pytest.approx(nu, rel=1e-9, abs=1e-12)
         assert float(metrics.value) == pytest.approx(value, rel=1e-8, abs=1e-12)
         assert float(state.policy["weight"]) == pytest.approx(theta, rel=1e-6, abs=1e-9)
         s = following
@@ -97,7 +101,7 @@ def test_figure_1_by_hand_in_one_dimension() -> None:
 @pytest.mark.oracle
 def test_figure_1_learns_the_system_its_noise_and_to_regulate() -> None:
     world = World(LinearSystem([[1.0]], [[0.5]], noise=0.1, start=1.0, time_limit=20.0))
-    learner = figure1_learner(0.1, 0.02, 0.2, Horizon(3, 1.0, 0.9, 1.0))
+    learner = figure1_learner(0.1, 0.02, 0.2, Horizon(3, 1.0, 0.9, 1.0), "auto")
     training = Training(
         replace(learner, exploration=1.0), world, [0, 1, 2, 3], Budget(seconds=500.0)
     )
@@ -107,7 +111,7 @@ def test_figure_1_learns_the_system_its_noise_and_to_regulate() -> None:
     weight = learned.model["weight"][:, 0]
     assert torch.allclose(weight, f64([[1.0, 0.5]] * 4), atol=0.1)
     # The variance of the system's noise, and a little of what the fit keeps forgetting.
-    assert bool(((learned.noise > 0.005) & (learned.noise < 0.025)).all())
+    assert bool(((learned.noise["nu"] > 0.005) & (learned.noise["nu"] < 0.025)).all())
     # s' = (1 + .5 theta) s: regulation wants theta = -2, and .5 theta between -2 and 0 is stable.
     assert bool(((learned.policy["weight"].flatten() + 2).abs() < 0.5).all())
 
@@ -126,7 +130,6 @@ def unchanged(a: LearnerState, b: LearnerState, row: int) -> bool:
     pairs = [
         (a.model["weight"], b.model["weight"]),
         (a.policy["weight"], b.policy["weight"]),
-        (a.noise, b.noise),
         *((a.fit[name], b.fit[name]) for name in a.fit),
     ]
     return all(torch.equal(x[row], y[row]) for x, y in pairs)
@@ -196,17 +199,3 @@ def test_rates_are_per_second_in_the_derivative_form() -> None:
         moves.append((after.model["weight"] - start, after.policy["weight"]))
     assert torch.allclose(moves[0][0], 2 * moves[1][0], rtol=1e-9)
     assert torch.allclose(moves[0][1], 2 * moves[1][1], rtol=0.05)
-
-
-def test_residual_noise_is_a_moving_average() -> None:
-    rule = ResidualNoise(0.25)
-    noise: Tensor = torch.zeros(1, 2, 2).double()
-    e = f64([[1.0, 2.0]])
-    squared = e.unsqueeze(-1) * e.unsqueeze(-2)
-    for k in range(1, 6):
-        noise = rule.update(noise, squared, ONE)
-        assert torch.allclose(noise, (1 - 0.75**k) * squared)
-    # A rate above one per tick means the last residual, not beyond it.
-    assert torch.allclose(ResidualNoise(50.0).update(noise, squared, ONE), squared)
-    with pytest.raises(ValueError, match="rate=-1"):
-        ResidualNoise(-1)

@@ -29,7 +29,7 @@ def learn(
     true = normal(g, batch, N, K)
     weight = torch.zeros(batch, N, K, dtype=torch.float64)
     memory = fit.initial(weight)
-    nu = noise.initial(batch, N, K, torch.float64)
+    nu = noise.initial(weight)
     for _ in range(samples):
         phi, y = sample(g, true, spread)
         fitted = fit.update(weight, memory, phi, y, ONE)
@@ -113,7 +113,7 @@ def test_bayesian_noise_is_calibrated_while_the_model_is_still_poor(fit: Fit) ->
 
 def test_bayesian_noise_by_hand() -> None:
     noise = BayesianNoise(0.5, stretch=4.0)
-    memory = noise.initial(1, 1, 1, torch.float64)
+    memory = noise.initial(torch.zeros(1, 1, 1).double())
     fit = {"P": f64([[[3.0]]])}
     phi = f64([[2.0]])
     memory = noise.update(memory, f64([[[26.0]]]), phi, fit, ONE)
@@ -125,7 +125,7 @@ def test_bayesian_noise_by_hand() -> None:
 @pytest.mark.parametrize("noise", [ResidualNoise(0.3), LinearNoise(0.5), BayesianNoise(0.3)])
 def test_always_positive_semidefinite_and_symmetric(noise: Noise) -> None:
     g = torch.Generator().manual_seed(3)
-    memory = noise.initial(6, 3, 4, torch.float64)
+    memory = noise.initial(torch.zeros(6, 3, 4).double())
     fit = {"P": torch.eye(4).double().expand(6, 4, 4)}
     for _ in range(60):
         e = normal(g, 6, 3) * 10 ** (2 * normal(g, 6, 1))
@@ -138,7 +138,7 @@ def test_always_positive_semidefinite_and_symmetric(noise: Noise) -> None:
 
 def test_residual_noise_is_a_moving_average() -> None:
     rule = ResidualNoise(0.25)
-    memory = rule.initial(1, 2, 1, torch.float64)
+    memory = rule.initial(torch.zeros(1, 2, 1).double())
     squared, phi = outer(f64([[1.0, 2.0]])), f64([[0.0]])
     for k in range(1, 6):
         memory = rule.update(memory, squared, phi, {}, ONE)

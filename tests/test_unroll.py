@@ -8,6 +8,7 @@ from torch import Tensor
 
 from edtorch.features import Affine, Pairwise
 from edtorch.models import DerivativeModel, NextStateModel
+from edtorch.noise import ResidualNoise
 from edtorch.policies import SquashedPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import FirstOrder, MeanOnly, Transform, point_belief
@@ -22,15 +23,16 @@ def nonlinear(transform: Transform, kind: type, steps: int = 6) -> Generic:
     model = kind(3, 2, Pairwise(5), torch.zeros(3, dtype=torch.float64))
     policy = SquashedPolicy(3, 2, Affine(3))
     reward = QuadraticReward(random_cost(g, 3), random_cost(g, 2))
-    return Generic(model, policy, reward, transform, Horizon(steps, 0.1, 0.9, 0.1))
+    horizon = Horizon(steps, 0.1, 0.9, 0.1)
+    return Generic(model, policy, reward, transform, horizon, ResidualNoise(1.0))
 
 
-def parameters(path: Generic, batch: int) -> tuple[dict, dict, Tensor, Tensor]:
+def parameters(path: Generic, batch: int) -> tuple[dict, dict, dict, Tensor]:
     g = torch.Generator().manual_seed(1)
     return (
         {"weight": 0.3 * normal(g, batch, *path.model.weight.shape)},
         {"weight": 0.5 * normal(g, batch, *path.policy.weight.shape)},
-        random_cost(g, 3).expand(batch, 3, 3).clone(),
+        {"nu": random_cost(g, 3).expand(batch, 3, 3).clone()},
         normal(g, batch, 3),
     )
 
@@ -60,11 +62,11 @@ def test_batch_gradient_is_the_vmap_of_single_gradients(transform: Transform) ->
     together = path(model, policy, noise, state)
 
     def value(w: Tensor, theta: Tensor, nu: Tensor, s: Tensor) -> Tensor:
-        trajectory = path.trajectory({"weight": w}, {"weight": theta}, nu, point_belief(s))
+        trajectory = path.trajectory({"weight": w}, {"weight": theta}, {"nu": nu}, point_belief(s))
         return trajectory.value
 
     single = torch.func.vmap(torch.func.grad(value, argnums=1))(
-        model["weight"], policy["weight"], noise, state
+        model["weight"], policy["weight"], noise["nu"], state
     )
     assert torch.allclose(together.gradient["weight"], single, rtol=1e-11, atol=1e-14)
 

@@ -17,12 +17,15 @@ from edtorch.app.errors import ConfigError, under
 from edtorch.checkpoint import PolicyCard
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
+from edtorch.fit import Fit
 from edtorch.interact import Budget
-from edtorch.learner import Learner, ResidualNoise
-from edtorch.models import DerivativeModel, NextStateModel
+from edtorch.learner import Learner
+from edtorch.models import DerivativeModel, Model
+from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.unroll import Horizon
+from edtorch.value_error import ValueErrorIndicator
 from edtorch.world import World
 from sims.base import Quantity, Sim
 
@@ -109,9 +112,7 @@ def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> Linear
     )
 
 
-def _build_model(
-    config: Any, world: World, dtype: torch.dtype, seed: int
-) -> DerivativeModel | NextStateModel:
+def _build_model(config: Any, world: World, dtype: torch.dtype, seed: int) -> Model:
     states, actions = len(world.spec.state), len(world.spec.action)
     features, rest = _features_of("model", config, states + actions, seed)
     return construct(
@@ -123,6 +124,17 @@ def _build_model(
         features=features,
         period=world.period,
     )
+
+
+def _build_noise(config: Any, fit: Fit, model: Model, stretch: float) -> Noise:
+    rest = OmegaConf.masked_copy(config, [str(k) for k in config if k != "exploration"])
+    noise = construct("noise", rest, "covariance", "update", stretch=stretch)
+    if isinstance(noise, BayesianNoise) and "P" not in fit.initial(model.weight):
+        raise ConfigError(
+            f"noise._target_={config._target_}: expected a fit that knows how sure it is, "
+            "fit=least_squares or fit=bayesian"
+        )
+    return noise
 
 
 def policy_card(sim: Sim, policy: LinearPolicy, seeds: list[int]) -> PolicyCard:
@@ -170,6 +182,7 @@ class Setup:
     budget: Budget
     card: PolicyCard
     path: str
+    indicator: ValueErrorIndicator | None
 
 
 def build(config: DictConfig) -> Setup:
@@ -190,6 +203,7 @@ def build(config: DictConfig) -> Setup:
     policy = build_policy(config.policy, sim, dtype, config.seed)
     reward = build_reward(config.reward, sim, dtype)
     transform = construct("transform", config.transform, "move", "reward", "keeps_positive")
+    fit = construct("fit", config.fit, "initial", "update")
     with under("unroll"):
         euler = isinstance(model, DerivativeModel)
         step = config.unroll.dt if euler else world.dt
@@ -200,25 +214,39 @@ def build(config: DictConfig) -> Setup:
             step if euler else 1.0,
             config.unroll.reading,
         )
+    noise = None
+    if transform.propagates_covariance or config.log.value_error:
+        noise = _build_noise(config.noise, fit, model, step / world.dt if euler else 1.0)
     if config.unroll.path not in get_args(Wish):
         raise ConfigError(
             f"unroll.path={config.unroll.path}: expected one of {', '.join(get_args(Wish))}"
         )
+    at_least("unroll.start_deviation", config.unroll.start_deviation, 0)
+    start_cov = config.unroll.start_deviation**2 * torch.eye(model.states, dtype=dtype)
     try:
-        choice = choose_path(config.unroll.path, model, policy, reward, transform, horizon)
+        choice = choose_path(
+            config.unroll.path,
+            model,
+            policy,
+            reward,
+            transform,
+            horizon,
+            noise=noise,
+            start_cov=start_cov,
+        )
     except ValueError as error:
         raise ConfigError(f"unroll.path={config.unroll.path}: {error}") from error
     with under("noise"):
-        noise = ResidualNoise(config.noise.rate)
         learner = Learner(
             model=model,
             policy=policy,
-            fit=construct("fit", config.fit, "initial", "update"),
-            noise=noise if transform.propagates_covariance else None,
+            fit=fit,
+            noise=noise,
             value=choice.path,
             step_rule=construct("step", config.step, "initial"),
             exploration=config.noise.exploration,
         )
+    indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
     seeds = [config.seed + k for k in range(config.seeds)]
     card = policy_card(sim, policy, seeds)
-    return Setup(learner, world, seeds, budget, card, choice.reason)
+    return Setup(learner, world, seeds, budget, card, choice.reason, indicator)

@@ -126,6 +126,14 @@ class LeastSquaresConfig:
 
 
 @dataclass
+class BayesianFitConfig:
+    """``edtorch.fit.BayesianLeastSquares``."""
+
+    _target_: str = MISSING
+    priors: int = 28
+
+
+@dataclass
 class PolicyConfig:
     """A policy linear in features; ``features`` as in the model."""
 
@@ -145,6 +153,7 @@ class RewardConfig:
 class NoiseConfig:
     """exploration: scaled standard deviation; rate: of nu~ (where covariance is propagated)."""
 
+    _target_: str = MISSING
     exploration: float = 0.05
     rate: float = 1.0
 
@@ -159,12 +168,13 @@ class TransformConfig:
 @dataclass
 class UnrollConfig:
     """horizon: steps; dt: seconds a step (derivative form); discount: per second, or per step;
-    path: auto, closed_form or generic; reading: figure or definition, see
-    ``edtorch.unroll.Horizon``."""
+    start_deviation: scaled standard deviation of the belief that it starts from; path: auto,
+    closed_form or generic; reading: figure or definition, see ``edtorch.unroll.Horizon``."""
 
     horizon: int = 30
     dt: float = 0.051
     discount: float = 1.0
+    start_deviation: float = 0.0
     path: str = "auto"
     reading: str = "figure"
 
@@ -212,9 +222,11 @@ class ComputeConfig:
 
 @dataclass
 class LogConfig:
-    """every: simulated seconds between two rows; checkpoint: between two saves of everything."""
+    """every: simulated seconds between two rows; checkpoint: between two saves of everything;
+    value_error: whether the rows have the value error estimate."""
 
     every: int = 5
+    value_error: bool = False
     checkpoint: int = 500
     tensorboard: bool = True
     figures: bool = True
@@ -231,7 +243,7 @@ class TrainConfig:
     fit: Any = MISSING
     policy: Any = MISSING
     reward: RewardConfig = field(default_factory=RewardConfig)
-    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    noise: Any = MISSING
     transform: Any = MISSING
     unroll: UnrollConfig = field(default_factory=UnrollConfig)
     step: Any = MISSING
@@ -274,7 +286,9 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "rate_schema": RateFitConfig,
         "normalised_schema": NormalisedFitConfig,
         "least_squares_schema": LeastSquaresConfig,
+        "bayesian_schema": BayesianFitConfig,
     },
+    "noise": {"noise_schema": NoiseConfig},
     "policy": {"policy_schema": PolicyConfig},
     "transform": {"transform_schema": TransformConfig},
     "step": {"saturated_schema": SaturatedStepConfig, "plain_schema": PlainStepConfig},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import logging
 import sys
 import time
@@ -97,6 +98,9 @@ def _learn(job: _Job, training: Training, sinks: list[Sink]) -> None:
     while not training.done:
         _advance(training, per_snapshot, job.stop)
         snapshot = training.snapshot()
+        if job.setup.indicator is not None:
+            estimate = job.setup.indicator(training.learners, training.worlds.observation)
+            snapshot = dataclasses.replace(snapshot, value_error=estimate.tolist())
         for sink in sinks:
             sink.write(snapshot, training.episodes[reported:])
         reported = len(training.episodes)

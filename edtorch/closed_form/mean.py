@@ -106,7 +106,7 @@ class LinearMeanOnly:
     needs_autograd: bool = False
 
     def __call__(
-        self, model: Parameters, policy: Parameters, noise: Tensor, state: Tensor
+        self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
         dynamics = self.model.linear_dynamics(model["weight"], self.horizon.dt)

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from edtorch.models import Model
+from edtorch.noise import Noise
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.types import Belief, Parameters
@@ -81,7 +82,8 @@ def moment_value_and_gradient(
 class LinearMoment:
     """A ``ValuePath`` for linear model and policy, quadratic reward, constant noise, first order.
 
-    start_cov: covariance of the belief that the unroll starts from, ``[n, n]``.
+    noise: the rule for nu~, a constant one; start_cov: covariance of the belief that the unroll
+    starts from, ``[n, n]``.
     """
 
     model: Model
@@ -89,11 +91,12 @@ class LinearMoment:
     reward: QuadraticReward
     horizon: Horizon
     weights: Tensor
+    noise: Noise
     start_cov: Tensor
     needs_autograd: bool = False
 
     def __call__(
-        self, model: Parameters, policy: Parameters, noise: Tensor, state: Tensor
+        self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
         dynamics = self.model.linear_dynamics(model["weight"], self.horizon.dt)
@@ -105,7 +108,7 @@ class LinearMoment:
             dynamics.action,
             theta,
             Belief(state, self.start_cov.expand(*state.shape, state.shape[-1])),
-            self.model.noise_over(noise, self.horizon.dt),
+            self.model.noise_over(self.noise.covariance(noise, state), self.horizon.dt),
             state_cost=self.reward.state_cost,
             action_cost=self.reward.action_cost if self.reward.costs_actions else None,
             weights=self.weights,

@@ -18,7 +18,7 @@ import conf
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
 from edtorch.interact import Budget, Training, evaluate
-from edtorch.learner import Learner, ResidualNoise
+from edtorch.learner import Learner
 from edtorch.unroll import Horizon
 from sims.base import Outcome
 from sims.bicycle import Bicycle
@@ -91,10 +91,9 @@ def _settable(constructor: Any, handed_in: set[str]) -> set[str]:
 DIRECT = [
     (schemas.BudgetConfig, Budget, set()),
     (schemas.UnrollConfig, Horizon, {"steps", "unit"}),
-    (schemas.NoiseConfig, ResidualNoise, set()),
 ]
 # From the domain, not from configuration; and what a transform says of itself.
-HANDED_IN = {"states", "actions", "period", "dtype", "propagates_covariance"}
+HANDED_IN = {"states", "actions", "period", "dtype", "stretch"}
 
 
 def _schema_fields(node: DictConfig) -> tuple[Field[Any], ...]:
@@ -107,7 +106,7 @@ def _with_target() -> list[tuple[str, str]]:
     return [
         (group, option)
         for group, option in OPTIONS
-        if group in {"domain", "model", "fit", "policy", "transform", "step"}
+        if group in {"domain", "model", "fit", "noise", "policy", "transform", "step"}
     ]
 
 
@@ -115,7 +114,8 @@ def _with_target() -> list[tuple[str, str]]:
 def test_schema_has_the_keys_of_its_constructor(group: str, option: str) -> None:
     node = _compose(f"{group}={option}")[group]
     target = get_class(node._target_)
-    names = {f.name for f in _schema_fields(node)} - {"_target_"}
+    # Exploration stands beside the rule for the noise, and is the learner's.
+    names = {f.name for f in _schema_fields(node)} - {"_target_", "exploration"}
     assert names == _settable(target, HANDED_IN)
 
 
@@ -143,8 +143,8 @@ def test_direct_schema(schema: type, constructor: Any, handed_in: set[str]) -> N
     names = {f.name for f in fields(schema)}
     assert _settable(constructor, handed_in) <= names
     rest = names - _settable(constructor, handed_in)
-    assert rest <= {"horizon", "path", "exploration"}
-    assert "exploration" not in rest or "exploration" in _settable(Learner, set())
+    assert rest <= {"horizon", "path", "start_deviation"}
+    assert "exploration" in _settable(Learner, set())
 
 
 def _first_falls(setup: Setup) -> list[float]:

@@ -46,7 +46,12 @@ REFUSED = [
     (["unroll.discount=1.5"], r"unroll\.discount=1\.5: expected a number in \(0, 1\]"),
     (["unroll.dt=0"], r"unroll\.dt=0\.0: expected a number > 0"),
     (["unroll.path=foo"], r"unroll\.path=foo: expected one of auto, closed_form, generic"),
-    (["unroll.path=closed_form", "transform=first"], r"unroll\.path=closed_form: .*covariance"),
+    (
+        ["unroll.path=closed_form", "transform=first", "noise=linear"],
+        r"unroll\.path=closed_form: .*the noise is not constant",
+    ),
+    (["transform=first", "noise=bayesian"], r"noise\._target_=.*fit=least_squares"),
+    (["unroll.start_deviation=-1"], r"unroll\.start_deviation=-1\.0: expected a number >= 0"),
     (["train.seconds=null", "train.rides=null"], r"train\.seconds=null.*expected a number for"),
     (["train.seconds=0"], r"train\.seconds=0\.0: expected a finite number > 0"),
     (["train.episodes=0"], r"train\.episodes=0: expected an integer >= 1"),

@@ -8,7 +8,8 @@ from torch import Tensor
 
 from edtorch.closed_form import LinearMoment, mean_value_and_gradient, moment_value_and_gradient
 from edtorch.closed_form.moment import second_moments
-from edtorch.transform import FirstOrder
+from edtorch.noise import ResidualNoise
+from edtorch.transform import Cubature, FirstOrder, Transform
 from edtorch.types import Belief
 from edtorch.unroll import Generic
 from tests.systems import linear_case, normal, random_cost
@@ -19,19 +20,24 @@ SIZES = [(5, 2, 30), (5, 2, 1), (5, 2, 2), (7, 3, 17), (1, 1, 5), (14, 5, 12)]
 @pytest.mark.oracle
 @pytest.mark.parametrize(("n", "m", "steps"), SIZES)
 @pytest.mark.parametrize("action_cost", [False, True])
-def test_equals_the_generic_path(n: int, m: int, steps: int, action_cost: bool) -> None:
+@pytest.mark.parametrize("transform", [FirstOrder(), Cubature()])
+def test_equals_the_generic_path(
+    n: int, m: int, steps: int, action_cost: bool, transform: Transform
+) -> None:
     case = linear_case(n, m, steps, action_cost=action_cost)
     g = torch.Generator().manual_seed(0)
-    noise = random_cost(g, n).expand(3, n, n).clone()
-    old = case.generic
-    generic = Generic(old.model, old.policy, old.reward, FirstOrder(), old.horizon)
+    noise = {"nu": random_cost(g, n).expand(3, n, n).clone()}
+    old, rule = case.generic, ResidualNoise(1.0)
+    start = random_cost(g, n)
+    generic = Generic(old.model, old.policy, old.reward, transform, old.horizon, rule, start)
     closed = LinearMoment(
         old.model,
         old.policy,
         case.closed.reward,
         old.horizon,
         case.closed.weights,
-        torch.zeros(n, n, dtype=torch.float64),
+        rule,
+        start,
     )
     arguments = (case.model, case.policy, noise, case.state)
     wanted, found = generic(*arguments), closed(*arguments)
