@@ -20,10 +20,8 @@ from edtorch.types import Parameters
 class Noise(Protocol):
     """A rule for nu~."""
 
-    @property
-    def is_constant(self) -> bool:
-        """Whether nu~ is the same for every state and action."""
-        ...
+    is_constant: ClassVar[bool]
+    """Whether nu~ is the same for every state and action."""
 
     def initial(self, weight: Tensor) -> Parameters:
         """The memory for models of weights ``[*batch, n, k]``."""
