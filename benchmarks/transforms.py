@@ -14,7 +14,6 @@ import argparse
 import json
 import platform
 import statistics
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -193,7 +192,11 @@ def main() -> None:
         print(f"{'first, own J':15}{'':72}{own:7.1f}{ratio:7.2f}", flush=True)
     if options.json is not None:
         content = {
-            "command": " ".join(["python", "-m", "benchmarks.transforms", *sys.argv[1:]]),
+            "command": (
+                f"python -m benchmarks.transforms --sizes {' '.join(map(str, options.sizes))} "
+                f"--systems {options.systems} --samples {options.samples} --nl {options.nl} "
+                f"--v0 {options.v0} --noise {options.noise}"
+            ),
             "seeds": list(range(options.systems)),
             "settings": {
                 "samples": options.samples,
