@@ -189,8 +189,13 @@ def test_a_floor_is_named_with_the_step_at_which_it_began() -> None:
 
 
 def test_a_noise_that_is_vouched_for_is_not_watched() -> None:
-    watched = dip(FirstOrder(), 0.0) | {"noise": lambda s: -dipping(s)}
-    trusted = watched | {"noise": PositiveNoise(lambda s: -dipping(s))}
+    def negative(s: Tensor) -> Tensor:
+        return -dipping(s)
+
+    watched = dip(FirstOrder(), 0.0)
+    watched["noise"] = negative
+    trusted = dip(FirstOrder(), 0.0)
+    trusted["noise"] = PositiveNoise(negative)
     paths = []
     for parts in (watched, trusted):
         start, loop, policy = (parts.pop(name) for name in ("start", "closed_loop", "policy"))
