@@ -14,9 +14,8 @@ import argparse
 import json
 import platform
 import statistics
-import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -28,6 +27,7 @@ from edtorch.transform import (
     FirstOrder,
     GaussHermite,
     MeanOnly,
+    PositiveNoise,
     SecondOrder,
     Transform,
     point_belief,
@@ -51,14 +51,28 @@ def transforms(n: int) -> dict[str, Transform]:
     return every
 
 
-def trajectory(system: SmoothSystem, transform: Transform) -> Trajectory:
+@dataclass(frozen=True)
+class WithJacobian:
+    """The system's closed loop, with its Jacobian in closed form."""
+
+    system: SmoothSystem
+
+    def __call__(self, state: Tensor) -> Tensor:
+        return self.system.closed_loop(state)
+
+    def jacobian(self, state: Tensor) -> Tensor:
+        slope = 1 - self.system.policy(state).square()
+        return self.system.A + self.system.B @ (slope.unsqueeze(-1) * self.system.W)
+
+
+def trajectory(system: SmoothSystem, transform: Transform, *, closed: bool = False) -> Trajectory:
     return propagate(
         point_belief(system.start),
-        system.closed_loop,
+        WithJacobian(system) if closed else system.closed_loop,
         system.policy,
         reward=system.reward,
         transform=transform,
-        noise=system.noise,
+        noise=PositiveNoise(system.noise),
         horizon=Horizon(system.horizon, 1.0, system.discount, 1.0),
     )
 
@@ -73,22 +87,27 @@ def errors(found: Trajectory, truth: Truth) -> dict[str, float]:
     }
 
 
-def value_and_gradient(system: SmoothSystem, transform: Transform) -> Tensor:
+def value_and_gradient(system: SmoothSystem, transform: Transform, *, closed: bool) -> Tensor:
     def value(W: Tensor, b: Tensor) -> Tensor:
-        return trajectory(replace(system, W=W, b=b), transform).value
+        return trajectory(replace(system, W=W, b=b), transform, closed=closed).value
 
     return grad_and_value(value, argnums=(0, 1))(system.W, system.b)[1]
 
 
 def cost(system: SmoothSystem, rounds: int, calls: int) -> dict[str, float]:
-    """CPU ms of value and gradient, transforms in turn; medians over the rounds."""
+    """CPU ms of value and gradient, transforms in turn; medians over the rounds.
+
+    ``first, own J`` is first with the closed loop's own Jacobian instead of jacrev's.
+    """
+    cases = {name: (t, False) for name, t in transforms(len(system.start)).items()}
+    cases["first, own J"] = (FirstOrder(), True)
     samples: dict[str, list[float]] = {}
     for _ in range(rounds):
-        for name, transform in transforms(len(system.start)).items():
-            value_and_gradient(system, transform)
+        for name, (transform, closed) in cases.items():
+            value_and_gradient(system, transform, closed=closed)
             began = time.process_time()
             for _ in range(calls):
-                value_and_gradient(system, transform)
+                value_and_gradient(system, transform, closed=closed)
             spent = (time.process_time() - began) / calls * 1e3
             samples.setdefault(name, []).append(spent)
     return {name: statistics.median(s) for name, s in samples.items()}
@@ -135,6 +154,7 @@ def measure(n: int, options: argparse.Namespace) -> dict:
             "quartiles": statistics.quantiles(ratios, n=4),
         },
         "standard_error_over_first_error": statistics.median(floor),
+        "ms_of_first_with_its_own_jacobian": milliseconds["first, own J"],
     }
 
 
@@ -167,9 +187,16 @@ def main() -> None:
             cells = "".join(f"{row['error'][q]:10.1e}" for q in QUANTITIES)
             gains = "".join(f"{row['gain'][q]:8.1f}" for q in QUANTITIES)
             print(f"{name:15}{cells}{gains}{row['ms']:7.1f}{row['cost']:7.2f}", flush=True)
+        own = table[n]["ms_of_first_with_its_own_jacobian"]
+        ratio = own / table[n]["transforms"]["first"]["ms"]
+        print(f"{'first, own J':15}{'':72}{own:7.1f}{ratio:7.2f}", flush=True)
     if options.json is not None:
         content = {
-            "command": " ".join(["python", "-m", "benchmarks.transforms", *sys.argv[1:]]),
+            "command": (
+                f"python -m benchmarks.transforms --sizes {' '.join(map(str, options.sizes))} "
+                f"--systems {options.systems} --samples {options.samples} --nl {options.nl} "
+                f"--v0 {options.v0} --noise {options.noise}"
+            ),
             "seeds": list(range(options.systems)),
             "settings": {
                 "samples": options.samples,

@@ -87,6 +87,22 @@ def curvature(function: StateFunction, state: Tensor, cov: Tensor) -> Tensor:
     return directional(directional(function, columns), units)(states).sum(0)
 
 
+def scalar_curvature(function: StateFunction, state: Tensor, cov: Tensor) -> Tensor:
+    """``curvature`` of a function of one value a row, ``[*batch, n] -> [*batch]``, for half of it.
+
+    tr(H Sigma) from the n Hessian-vector products H Sigma e_k: H is symmetric here, so one reverse
+    pass through the gradient gives each.
+    """
+
+    def gradient(x: Tensor) -> Tensor:
+        pulled = vjp(function, x)
+        return pulled[1](torch.ones_like(pulled[0]))[0]
+
+    states, columns = _rows(state, cov)
+    products = vjp(gradient, states)[1](columns)[0]
+    return torch.diagonal(products, dim1=0, dim2=-1).sum(-1)
+
+
 def curvature_products(function: StateFunction, state: Tensor, cov: Tensor) -> Tensor:
     """(H_i Sigma)_ab = D^2 f_i(s)[e_a, Sigma e_b] as ``[b, *batch, i, a]``.
 

@@ -7,7 +7,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from edtorch.derivatives import StateFunction, curvature, rowwise_jacobian
+from edtorch.derivatives import StateFunction, rowwise_jacobian, scalar_curvature
 from edtorch.types import Belief
 
 
@@ -64,7 +64,7 @@ def expected_reward(reward: Reward, belief: Belief, policy: StateFunction) -> Te
     def closed(s: Tensor) -> Tensor:
         return reward(s, policy(s))
 
-    return closed(belief.mean) + 0.5 * curvature(closed, belief.mean, belief.cov)
+    return closed(belief.mean) + 0.5 * scalar_curvature(closed, belief.mean, belief.cov)
 
 
 __all__ = ["QuadraticReward", "Reward", "StateFunction", "expected_reward", "rowwise_jacobian"]

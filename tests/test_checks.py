@@ -17,6 +17,7 @@ from edtorch.transform import (
     Cubature,
     FirstOrder,
     MeanOnly,
+    PositiveNoise,
     SecondOrder,
     Transform,
     data_belief,
@@ -185,6 +186,22 @@ def test_a_floor_is_named_with_the_step_at_which_it_began() -> None:
     with pytest.warns(CovarianceFloored, match="indefinite at step 2"):
         path = go(**dip(SecondOrder(), 0.0))
     assert float(path.cov[1]) == 1 and float(path.cov[2]) == 0
+
+
+def test_a_noise_that_is_vouched_for_is_not_watched() -> None:
+    def negative(s: Tensor) -> Tensor:
+        return -dipping(s)
+
+    watched = dip(FirstOrder(), 0.0)
+    watched["noise"] = negative
+    trusted = dip(FirstOrder(), 0.0)
+    trusted["noise"] = PositiveNoise(negative)
+    paths = []
+    for parts in (watched, trusted):
+        start, loop, policy = (parts.pop(name) for name in ("start", "closed_loop", "policy"))
+        paths.append(propagate(start, loop, policy, **parts))
+    assert [int(path.first_floored) for path in paths] == [1, -1]
+    assert float(paths[0].cov[1]) == 0 and float(paths[1].cov[1]) == -1
 
 
 @pytest.mark.parametrize("transform", [FirstOrder(), Cubature()])

@@ -12,6 +12,7 @@ from edtorch.derivatives import (
     directional,
     loop_jacobian,
     rowwise_jacobian,
+    scalar_curvature,
 )
 from edtorch.features import Affine, FeatureMap, Identity
 from edtorch.loop import ClosedLoop
@@ -39,6 +40,8 @@ def test_curvature_is_the_hessian_against_the_covariance() -> None:
     hessian = torch.func.vmap(torch.func.vmap(torch.func.jacrev(torch.func.jacrev(function))))(x)
     wanted = (hessian * C.unsqueeze(-3)).sum((-1, -2))
     assert torch.allclose(curvature(function, x, C), wanted, rtol=1e-12)
+    first = scalar_curvature(lambda s: function(s)[..., 1], x, C)
+    assert torch.allclose(first, wanted[..., 1], rtol=1e-12)
     products = torch.movedim(hessian @ C.unsqueeze(-3), -1, 0)
     assert torch.allclose(curvature_products(function, x, C), products, rtol=1e-12)
 

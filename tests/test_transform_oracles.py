@@ -41,6 +41,7 @@ def test_linear_loops_with_constant_noise_are_exact(transform: Transform) -> Non
     assert torch.allclose(belief.cov, powers[-1] @ S @ powers[-1].T + noise, rtol=1e-12)
 
 
+@pytest.mark.oracle
 @pytest.mark.parametrize("transform", transforms(2))
 def test_the_jitter_of_the_square_root_does_not_accumulate(transform: Transform) -> None:
     # A rotation forgets nothing, the noise is small and singular, and the start is a point.

@@ -17,7 +17,7 @@ from edtorch.transform.first import FirstOrder
 from edtorch.transform.gauss_hermite import GaussHermite
 from edtorch.transform.mean_only import MeanOnly
 from edtorch.transform.monte_carlo import MonteCarlo
-from edtorch.transform.noise import ConstantNoise
+from edtorch.transform.noise import ConstantNoise, PositiveNoise
 from edtorch.transform.second import SecondOrder
 from edtorch.transform.start import data_belief, point_belief
 
@@ -28,6 +28,7 @@ __all__ = [
     "GaussHermite",
     "MeanOnly",
     "MonteCarlo",
+    "PositiveNoise",
     "SecondOrder",
     "Transform",
     "data_belief",

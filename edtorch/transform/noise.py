@@ -24,9 +24,22 @@ class ConstantNoise:
         return self.cov.expand(*state.shape, state.shape[-1])
 
 
+@dataclass(frozen=True)
+class PositiveNoise:
+    """A function nu_pi ``[*batch, n] -> [*batch, n, n]`` vouched for: every value a covariance."""
+
+    function: StateFunction
+    positive = True
+
+    def __call__(self, state: Tensor) -> Tensor:
+        """The function's value."""
+        return self.function(state)
+
+
 def is_positive(noise: StateFunction) -> bool:
     """Whether a noise function declares (``positive = True``) that all its values are covariances.
 
-    One that declares nothing is not believed: the unroll then watches the eigenvalues.
+    One that declares nothing is not believed: the unroll then watches the eigenvalues at every
+    step, which ``PositiveNoise`` saves.
     """
     return bool(getattr(noise, "positive", False))
