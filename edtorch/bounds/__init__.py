@@ -2,7 +2,8 @@ r"""How far the transformed process can be from the true one (Theorems 1-4 of se
 
 ``theorems`` has the theorems for one step, printed and corrected; ``bound_errors`` chains the
 corrected ones along an unroll and says whether the result is a certificate or an estimate.
-Everything concerns the first-order transform (``edtorch.transform.FirstOrder``).
+Everything concerns the first-order transform (``edtorch.transform.FirstOrder``); ``docs/theory.md``
+has the proofs.
 """
 
 from edtorch.bounds.constants import (
@@ -18,7 +19,7 @@ from edtorch.bounds.constants import (
 )
 from edtorch.bounds.moments import StartLaw, fourth_moment, gaussian_fourth_moment
 from edtorch.bounds.path import Path, first_order_path
-from edtorch.bounds.recursion import bound_errors, definition_weights, figure_weights
+from edtorch.bounds.recursion import bound_errors, definition_weights, horizon_weights
 from edtorch.bounds.result import ErrorBounds, Standing
 from edtorch.bounds.sampling import sampled_constants
 from edtorch.bounds.theorems import (
@@ -56,10 +57,10 @@ __all__ = [
     "corrected_mean_bound",
     "corrected_reward_bound",
     "definition_weights",
-    "figure_weights",
     "first_order_path",
     "fourth_moment",
     "gaussian_fourth_moment",
+    "horizon_weights",
     "noise_change",
     "printed_covariance_bound",
     "printed_mean_bound",

@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from edtorch.rewards import Reward, StateFunction, rowwise_jacobian
-from edtorch.transform import FirstOrder
 from edtorch.types import Belief, tree_dataclass
 
 
@@ -65,12 +64,14 @@ def first_order_path(
         raise ValueError(f"mean has shape {tuple(start.mean.shape)}, expected one state [n]")
     if steps < 0:
         raise ValueError(f"steps={steps}: expected a number >= 0")
-    transform, beliefs = FirstOrder(), [start]
+    means, covs, jacobians = [start.mean.detach()], [start.cov.detach()], []
     for _ in range(steps):
-        belief = beliefs[-1]
-        beliefs.append(transform.move(belief, closed_loop, noise(belief.mean)))
-    mean = torch.stack([b.mean for b in beliefs]).detach()
-    cov = torch.stack([b.cov for b in beliefs]).detach()
+        J = rowwise_jacobian(closed_loop, means[-1]).detach()
+        cov = (noise(means[-1]) + J @ covs[-1] @ J.mT).detach()
+        means.append(closed_loop(means[-1]).detach())
+        covs.append(0.5 * (cov + cov.mT))
+        jacobians.append(J)
+    mean, cov = torch.stack(means), torch.stack(covs)
     n, moved = mean.shape[-1], mean[:-1]
 
     def state_reward(s: Tensor) -> Tensor:
@@ -84,7 +85,7 @@ def first_order_path(
     path = Path(
         mean=mean,
         cov=cov,
-        jacobian=rowwise_jacobian(closed_loop, moved).detach(),
+        jacobian=torch.stack(jacobians) if jacobians else cov[:0],
         noise=noise(moved).detach(),
         noise_jacobian=noise_jacobian.detach().unflatten(-2, (n, n)),
         expected_reward=(state_reward(mean)[:, 0] + 0.5 * (hessian * cov).sum((-1, -2))).detach(),

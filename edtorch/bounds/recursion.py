@@ -28,9 +28,13 @@ def definition_weights(discount: float, steps: int) -> list[float]:
     return [discount**k for k in range(steps + 1)]
 
 
-def figure_weights(horizon: Horizon) -> list[float]:
-    """0, then the weights of Fig. 1's step 6d: rewards 1..T, the start's not among them."""
-    return [0.0, *horizon.weights()]
+def horizon_weights(horizon: Horizon) -> list[float]:
+    """Weight of the expected reward of each belief 0..T in the horizon's value.
+
+    Fig. 1's step 6d adds up the rewards of steps 1..T; that of the start weighs 0.
+    """
+    weights = horizon.weights()
+    return [0.0] * (horizon.steps + 1 - len(weights)) + weights
 
 
 class Propagators:
@@ -117,7 +121,7 @@ def bound_errors(
 
     constants: one for all states, or T + 1 of them, each for the states that may occur at its step
     (see ``tube_radii``).  weights ``T + 1`` numbers >= 0: ``definition_weights`` or
-    ``figure_weights``.  start: None means a point, and is refused if the first covariance is not
+    ``horizon_weights``.  start: None means a point, and is refused if the first covariance is not
     zero.  With a learned model, path and constants are the learned model's.
 
     Raises NonSmoothDynamics if the constants say so, and ValueError for lists of the wrong length,

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from edtorch.bounds import Path
-from tests.smooth_systems import SmoothSystem
+from tests.bounds.systems import SmoothSystem
 
 Draw = Callable[[torch.Generator, int, int], Tensor]
 """N draws of n independent components of mean 0 and variance 1."""

@@ -23,7 +23,7 @@ from edtorch.bounds import (
 )
 from edtorch.types import Belief
 from tests.bounds.coupled import Draw, Step, coupled, gaussian, uniform
-from tests.smooth_systems import smooth_system
+from tests.bounds.systems import smooth_system
 from tests.systems import random_cost
 
 HORIZON = 10
@@ -70,7 +70,7 @@ def one_step(path: Path, t: int, now: Step, constants: Constants) -> tuple[float
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("n, count", [(1, 100_000), (2, 100_000), (5, 40_000)])
+@pytest.mark.parametrize("n, count", [(1, 100_000), (2, 50_000), (5, 25_000)])
 @pytest.mark.parametrize("draw, law", [(gaussian, GAUSSIAN), (uniform, UNIFORM)])
 def test_no_bound_is_exceeded(n: int, count: int, draw: Draw, law: NoiseLaw) -> None:
     violations = []

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from edtorch.bounds import StartLaw, fourth_moment, gaussian_fourth_moment
-from tests.smooth_systems import RADEMACHER, THREE_POINT, Atoms, Law, noise_atoms
+from tests.bounds.systems import RADEMACHER, THREE_POINT, Atoms, Law, noise_atoms
 from tests.systems import f64, normal, random_cost
 
 UNIFORM_ATOMS = ((-math.sqrt(1.8), 5 / 18), (0.0, 8 / 18), (math.sqrt(1.8), 5 / 18))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import statistics
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pytest
 import torch
@@ -12,30 +11,26 @@ from torch import Tensor
 
 from edtorch.bounds import (
     GAUSSIAN,
-    NO_MODEL_ERROR,
     Constants,
-    ErrorBounds,
-    ModelError,
     NoiseLaw,
     StartLaw,
     bound_errors,
     definition_weights,
-    figure_weights,
     first_order_path,
-    tube_radii,
+    horizon_weights,
     value_bound,
 )
 from edtorch.rewards import QuadraticReward
-from edtorch.transform import FirstOrder
 from edtorch.types import Belief
-from edtorch.unroll import Horizon, unroll
-from tests.smooth_systems import (
+from edtorch.unroll import Horizon
+from tests.bounds.systems import (
+    FLOOR,
     RADEMACHER,
     THREE_POINT,
     Atoms,
     Law,
-    SmoothSystem,
-    StepErrors,
+    at_start,
+    broken,
     exact_errors,
     exact_laws,
     exact_value_error,
@@ -43,24 +38,6 @@ from tests.smooth_systems import (
     smooth_system,
 )
 from tests.systems import f64, normal, random_cost
-
-FLOOR = 1e-12
-"""The first step's error of a point start is exactly 0; rounding is not."""
-
-
-def at_start(system: SmoothSystem) -> Law:
-    return Law(system.start.unsqueeze(0), f64([1.0]))
-
-
-def broken(bounds: ErrorBounds, errors: list[StepErrors]) -> list[tuple[int, str]]:
-    """Where an error is above its bound."""
-    names = ("mean", "cov", "reward", "second_moment", "fourth_moment")
-    return [
-        (t, name)
-        for t, error in enumerate(errors)
-        for name in names
-        if getattr(error, name) > getattr(bounds, name)[t] * (1 + FLOOR) + FLOOR
-    ]
 
 
 @pytest.mark.parametrize(
@@ -82,7 +59,7 @@ def test_bounds_hold_for_every_exact_error(
         path, laws = system.path(steps), exact_laws(system, atoms, steps, at_start(system))
         for weights in (
             definition_weights(0.95, steps),
-            figure_weights(Horizon(steps, 0.05, 0.9, 0.05)),
+            horizon_weights(Horizon(steps, 0.05, 0.9, 0.05)),
         ):
             bounds = bound_errors(
                 path, system.constants(), noise_law=NoiseLaw(kurtosis), weights=weights
@@ -209,135 +186,6 @@ def test_skewed_noise_needs_its_third_moment() -> None:
     assert without == pytest.approx(exact - 4 * L * 1.5, rel=1e-14)
 
 
-@dataclass(frozen=True)
-class Truth(SmoothSystem):
-    """A system at most eta and eta_nu away from the learned one that it is made of."""
-
-    eta: float = 0.0
-    eta_nu: float = 0.0
-    constant: bool = False
-
-    def mu(self, s: Tensor) -> Tensor:
-        shape = torch.ones_like(s) / math.sqrt(self.n)
-        wave = 1.0 if self.constant else torch.sin(3 * s.sum(-1, keepdim=True))
-        return super().mu(s) + self.eta * wave * shape
-
-    def variances(self, s: Tensor) -> Tensor:
-        wave = 1.0 if self.constant else torch.cos(2 * s.sum(-1, keepdim=True))
-        return super().variances(s) + self.eta_nu * wave / math.sqrt(self.n)
-
-
-@pytest.mark.parametrize("n, steps", [(1, 9), (2, 5), (5, 3)])
-@pytest.mark.parametrize("constant", [True, False])
-def test_learned_models(n: int, steps: int, constant: bool) -> None:
-    # Path and constants are the learned model's; the process is the truth's.
-    violated_without = 0
-    for seed in range(6):
-        learned = smooth_system(n, seed, v0=0.05)
-        eta, eta_nu = 0.1, 0.4 * learned.v0.min().item()
-        truth = Truth(**learned.__dict__, eta=eta, eta_nu=eta_nu, constant=constant)
-        states = 3 * normal(torch.Generator().manual_seed(seed), 500, n)
-        gap = torch.linalg.vector_norm(truth.mu(states) - learned.mu(states), dim=-1)
-        assert gap.max().item() <= eta * (1 + FLOOR)
-        gap = torch.linalg.matrix_norm(truth.nu(states) - learned.nu(states))
-        assert gap.max().item() <= eta_nu * (1 + FLOOR)
-
-        path, weights = learned.path(steps), definition_weights(0.95, steps)
-        laws = exact_laws(truth, RADEMACHER, steps, at_start(learned))
-        errors = exact_errors(truth, path, laws)
-        constants = learned.constants()
-        for error in (ModelError(eta, eta_nu, "analytic"), NO_MODEL_ERROR):
-            bounds = bound_errors(
-                path, constants, noise_law=NoiseLaw(1.0), weights=weights, model_error=error
-            )
-            if error is NO_MODEL_ERROR:
-                violated_without += len(broken(bounds, errors))
-            else:
-                assert broken(bounds, errors) == []
-                value = exact_value_error(truth, path, laws, weights)
-                assert value <= bounds.value_summed and value <= bounds.value_adjoint
-    assert violated_without > 0
-
-
-@pytest.mark.parametrize("n, steps, share", [(1, 8, 1.05), (2, 6, 1.1)])
-def test_a_tube_with_local_constants_holds_and_is_tighter(n: int, steps: int, share: float) -> None:
-    # Rademacher noise is bounded, so that suprema over balls around the means suffice.
-    tighter = []
-    for seed in range(8):
-        system = smooth_system(n, seed, v0=1e-4)
-        path, law = system.path(steps), NoiseLaw(1.0)
-        radii = tube_radii(
-            path.mean,
-            lambda center, size, near=system.constants_near: near(center, size).lipschitz,
-            noise_radius=math.sqrt(1.5 * system.v0.sum().item()),
-        )
-        laws = exact_laws(system, RADEMACHER, steps, at_start(system))
-        for states, center, size in zip(laws, path.mean, radii, strict=True):
-            distance = torch.linalg.vector_norm(states.states - center, dim=-1)
-            assert distance.max().item() <= size + FLOOR
-        near = [system.constants_near(s, size) for s, size in zip(path.mean, radii, strict=True)]
-        weights = definition_weights(0.95, steps)
-        bounds = bound_errors(path, near, noise_law=law, weights=weights)
-        assert bounds.standing == "certified"
-        assert broken(bounds, exact_errors(system, path, laws)) == []
-        everywhere = bound_errors(path, system.constants(), noise_law=law, weights=weights)
-        assert bounds.value <= everywhere.value * (1 + FLOOR)
-        tighter.append(everywhere.mean[-1] / bounds.mean[-1])
-    assert statistics.median(tighter) > share
-
-
-def test_the_path_is_the_unroll_of_the_first_order_transform() -> None:
-    system, steps = smooth_system(2, 0), 5
-    path = system.path(steps)
-    horizon = Horizon(steps, 1.0, 0.9, 1.0)
-    weights = figure_weights(horizon)
-    constant = path.noise[0]
-    still = first_order_path(
-        Belief(path.mean[0], path.cov[0]),
-        system.mu,
-        lambda s: constant.expand(*s.shape[:-1], 2, 2),
-        system.policy,
-        reward=system.reward,
-        steps=steps,
-    )
-    trajectory = unroll(
-        Belief(path.mean[0], path.cov[0]),
-        system.mu,
-        system.policy,
-        reward=system.reward,
-        transform=FirstOrder(),
-        noise=constant,
-        horizon=horizon,
-    )
-    assert torch.equal(trajectory.mean, still.mean) and torch.equal(trajectory.cov, still.cov)
-    assert not bool(still.noise_jacobian.any())
-    value = (f64(weights) * still.expected_reward).sum()
-    assert value.item() == pytest.approx(trajectory.value.item(), rel=1e-13)
-    # Derivatives against central differences.
-    s, h = path.mean[2], 1e-6
-    for k in range(2):
-        step = h * torch.eye(2).double()[k]
-        mu = (system.mu(s + step) - system.mu(s - step)) / (2 * h)
-        nu = (system.nu(s + step) - system.nu(s - step)) / (2 * h)
-        assert torch.allclose(path.jacobian[2][:, k], mu, rtol=1e-6, atol=1e-9)
-        assert torch.allclose(path.noise_jacobian[2][..., k], nu, rtol=1e-5, atol=1e-9)
-
-
-def test_reward_derivatives_go_through_the_policy() -> None:
-    # r = -(s^2 + a^2) with a = s^2: r_pi = -s^2 - s^4, gradient -2 s - 4 s^3, Hessian -2 - 12 s^2.
-    path = first_order_path(
-        Belief(f64([2.0]), f64([[0.5]])),
-        lambda s: 0.5 * s,
-        lambda s: torch.zeros((*s.shape, 1), dtype=torch.float64),
-        torch.square,
-        reward=QuadraticReward(f64([[1.0]]), f64([[1.0]])),
-        steps=1,
-    )
-    assert path.reward_gradient[:, 0].tolist() == pytest.approx([-36, -6])
-    assert path.reward_hessian[:, 0, 0].tolist() == pytest.approx([-50, -14])
-    assert path.expected_reward.tolist() == pytest.approx([-20 - 12.5, -2 - 7 * 0.125])
-
-
 def test_sums_and_theorem_4_agree_on_the_value() -> None:
     system, steps = smooth_system(2, 1), 6
     path = system.path(steps)
@@ -350,7 +198,7 @@ def test_sums_and_theorem_4_agree_on_the_value() -> None:
         path,
         system.constants(),
         noise_law=GAUSSIAN,
-        weights=figure_weights(Horizon(steps, 1.0, 0.9, 1.0)),
+        weights=horizon_weights(Horizon(steps, 1.0, 0.9, 1.0)),
     )
     assert bounds.value_summed == pytest.approx(0.9 * figure.value_summed, rel=1e-13)
     assert bounds.value_adjoint == pytest.approx(0.9 * figure.value_adjoint, rel=1e-13)

@@ -26,7 +26,7 @@ from edtorch.bounds import (
     uniform_bounds,
 )
 from edtorch.types import Belief
-from tests.smooth_systems import SmoothSystem, smooth_system
+from tests.bounds.systems import SmoothSystem, smooth_system
 from tests.systems import f64, normal
 
 STEPS = 4

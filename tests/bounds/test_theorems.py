@@ -22,7 +22,7 @@ from edtorch.bounds import (
     printed_value_bound,
     value_bound,
 )
-from tests.smooth_systems import RADEMACHER, Law, exact_laws, smooth_system
+from tests.bounds.systems import RADEMACHER, Law, exact_laws, smooth_system
 from tests.systems import f64, normal, random_cost
 
 

@@ -17,7 +17,7 @@ from edtorch.bounds import (
     uniform_bounds,
 )
 from tests.bounds.coupled import coupled, gaussian
-from tests.smooth_systems import RADEMACHER, Law, exact_errors, exact_laws, smooth_system
+from tests.bounds.systems import RADEMACHER, Law, exact_errors, exact_laws, smooth_system
 from tests.systems import f64
 
 

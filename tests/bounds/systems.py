@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.bounds import Constants, Path, Provenance, first_order_path
+from edtorch.bounds import Constants, ErrorBounds, Path, Provenance, first_order_path
 from edtorch.transform import point_belief
 from edtorch.types import Belief
-from tests.systems import normal, random_cost
+from tests.systems import f64, normal, random_cost
 
 TANH_2 = 4 / (3 * math.sqrt(3))
 """sup |tanh''|: -2 t (1 - t^2) is extreme at t = tanh x = 1 / sqrt 3."""
@@ -252,3 +252,22 @@ def exact_value_error(
         gain = law.mean(system.reward(law.states, law.states)) - path.expected_reward[t]
         total += weight * gain.item()
     return abs(total)
+
+
+FLOOR = 1e-12
+"""The first step's error of a point start is exactly 0; rounding is not."""
+
+
+def at_start(system: SmoothSystem) -> Law:
+    return Law(system.start.unsqueeze(0), f64([1.0]))
+
+
+def broken(bounds: ErrorBounds, errors: list[StepErrors]) -> list[tuple[int, str]]:
+    """Where an error is above its bound."""
+    names = ("mean", "cov", "reward", "second_moment", "fourth_moment")
+    return [
+        (t, name)
+        for t, error in enumerate(errors)
+        for name in names
+        if getattr(error, name) > getattr(bounds, name)[t] * (1 + FLOOR) + FLOOR
+    ]
