@@ -11,8 +11,10 @@ import torch
 from torch import Tensor
 
 from edtorch.bounds import (
+    GAUSSIAN,
     NO_MODEL_ERROR,
     Constants,
+    ErrorBounds,
     ModelError,
     NoiseLaw,
     StartLaw,
@@ -21,7 +23,8 @@ from edtorch.bounds import (
     first_order_path,
     tube_radii,
 )
-from edtorch.rewards import QuadraticReward
+from edtorch.rewards import QuadraticReward, Reward
+from edtorch.transform import point_belief
 from edtorch.types import Belief
 from tests.bounds.systems import (
     FLOOR,
@@ -35,7 +38,7 @@ from tests.bounds.systems import (
     exact_value_error,
     smooth_system,
 )
-from tests.systems import f64, normal
+from tests.systems import f64, normal, random_cost
 
 
 @dataclass(frozen=True)
@@ -146,3 +149,60 @@ def test_a_tube_with_local_constants_holds_and_is_tighter(n: int, steps: int, sh
         assert bounds.value <= everywhere.value * (1 + FLOOR)
         tighter.append(everywhere.mean[-1] / bounds.mean[-1])
     assert statistics.median(tighter) > share
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_the_adjoint_form_keeps_directions(n: int) -> None:
+    # Linear dynamics whose mean is off by eta at every step, a linear reward; then dynamics whose
+    # noise is off by eta_nu, a quadratic reward.  The adjoints are sums of powers of J.
+    steps, discount, eta = 5, 0.9, 0.1
+    g = torch.Generator().manual_seed(n)
+    J, q, Q = normal(g, n, n).abs(), normal(g, n).abs(), random_cost(g, n)
+
+    def bounds_for(reward: Reward, error: ModelError) -> ErrorBounds:
+        path = first_order_path(
+            point_belief(normal(g, n)),
+            lambda s: s @ J.T,
+            lambda s: torch.eye(n, dtype=torch.float64).expand(*s.shape, n),
+            torch.zeros_like,
+            reward=reward,
+            steps=steps,
+        )
+        L = torch.linalg.matrix_norm(J, ord=2).item()
+        return bound_errors(
+            path,
+            Constants(L, 0.0, 0.0, 0.0, "analytic"),
+            noise_law=GAUSSIAN,
+            weights=definition_weights(discount, steps),
+            model_error=error,
+        )
+
+    def linear(state: Tensor, action: Tensor) -> Tensor:
+        return state @ q
+
+    def powers_after(t: int) -> list[Tensor]:
+        """gamma^tau J^(tau - t - 1), tau = t + 1 .. T: how an error made at step t acts."""
+        later = range(t + 1, steps + 1)
+        return [discount**tau * torch.linalg.matrix_power(J, tau - t - 1) for tau in later]
+
+    vectors = [sum((P.T @ q for P in powers_after(t)), torch.zeros_like(q)) for t in range(steps)]
+    exact = eta * sum(torch.linalg.vector_norm(v).item() for v in vectors)
+    bounds = bounds_for(linear, ModelError(eta, 0.0, "analytic"))
+    assert bounds.value_adjoint == pytest.approx(exact, rel=1e-12)
+    assert bounds.value_adjoint <= bounds.value_summed * (1 + FLOOR)
+
+    def pulled(t: int, tau: int) -> Tensor:
+        power = torch.linalg.matrix_power(J, tau - t - 1)
+        return discount**tau * power.T @ Q @ power
+
+    matrices = [
+        sum((pulled(t, tau) for tau in range(t + 1, steps + 1)), torch.zeros_like(Q))
+        for t in range(steps)
+    ]
+    exact = eta * sum(torch.linalg.matrix_norm(m).item() for m in matrices)
+    quadratic = QuadraticReward(Q, torch.zeros(n, n, dtype=torch.float64))
+    bounds = bounds_for(quadratic, ModelError(0.0, eta, "analytic"))
+    assert bounds.value_adjoint == pytest.approx(exact, rel=1e-12)
+    if n == 1:
+        # All errors have one direction, and add up to exactly this in a truth with nu + eta.
+        assert bounds.value_summed == pytest.approx(exact, rel=1e-12)

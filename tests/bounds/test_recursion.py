@@ -121,6 +121,28 @@ def test_linear_quadratic_systems_have_no_error() -> None:
     assert bounds.second_moment == pytest.approx(traces, rel=1e-12)
 
 
+def test_an_initial_error_of_the_covariance_is_carried_exactly() -> None:
+    # s+ = L s + w, r = -s^2: the value is off by sum gamma^t L^(2t) times the first covariance's.
+    L, steps, off = 0.8, 4, 0.3
+    path = first_order_path(
+        Belief(f64([1.0]), f64([[0.5]])),
+        lambda s: L * s,
+        lambda s: torch.ones((*s.shape, 1), dtype=torch.float64),
+        torch.zeros_like,
+        reward=QuadraticReward(f64([[1.0]]), f64([[0.0]])),
+        steps=steps,
+    )
+    bounds = bound_errors(
+        path,
+        Constants(L, 0.0, 0.0, 0.0, "analytic"),
+        noise_law=GAUSSIAN,
+        weights=definition_weights(0.9, steps),
+        start=StartLaw(0.0, off, 0.8, 3 * 0.8**2),
+    )
+    exact = off * sum(0.9**t * L ** (2 * t) for t in range(steps + 1))
+    assert (bounds.value_summed, bounds.value_adjoint) == pytest.approx((exact, exact), rel=1e-13)
+
+
 def test_scalar_moments_are_attained_without_curvature() -> None:
     # s+ = L s + w in one dimension with constant nu: D_4 follows its recursion with equality.
     L, nu, steps = 0.8, 0.3, 6
