@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import statistics
+from dataclasses import replace
 from typing import cast
 
 import pytest
 import torch
 
 from edtorch.dispatch import choose_path
-from edtorch.features import Identity
+from edtorch.features import Identity, Pairwise
+from edtorch.fit import SquaredError
+from edtorch.learner import Learner
 from edtorch.models import NextStateModel
+from edtorch.noise import ResidualNoise
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import (
+    ConstantNoise,
     Cubature,
     FirstOrder,
     GaussHermite,
@@ -23,9 +28,10 @@ from edtorch.transform import (
 )
 from edtorch.types import Belief
 from edtorch.unroll import Generic, Horizon, Reading, propagate
-from edtorch.value_error import value_error_estimate
+from edtorch.update import PlainStep
+from edtorch.value_error import ValueErrorIndicator, value_error_estimate
 from tests.smooth_systems import coupled_monte_carlo, random_system
-from tests.systems import f64, random_cost
+from tests.systems import f64, normal, random_cost
 from tests.transforms import transforms
 
 
@@ -154,3 +160,39 @@ def test_cubature_is_nearer_to_the_truth_than_the_first_order() -> None:
     assert statistics.median(gains) > 5
     # Moment matching is not the truth, but at this noise it is so within a few standard errors.
     assert statistics.median(deviations) < 4
+
+
+def test_indicator_of_a_population_is_the_estimate_of_each_learner() -> None:
+    model = NextStateModel(2, 1, Pairwise(3), torch.zeros(2, dtype=torch.float64))
+    policy = LinearPolicy(2, 1, Identity(2))
+    reward = QuadraticReward(torch.eye(2).double(), torch.zeros(1, 1).double())
+    horizon, rule = Horizon(4, 1.0, 0.9, 1.0), ResidualNoise(1.0)
+    start_cov = 0.01 * torch.eye(2).double()
+    generic = Generic(model, policy, reward, FirstOrder(), horizon, rule, start_cov)
+    path = choose_path("auto", model, policy, reward, FirstOrder(), horizon, noise=rule).path
+    learner = Learner(model, policy, SquaredError(0.1), rule, path, PlainStep(0.1), 0.0)
+    g = torch.Generator().manual_seed(0)
+    learners = replace(
+        learner.initial([0, 1]),
+        model={"weight": 0.3 * normal(g, 2, 2, model.features.outputs)},
+        policy={"weight": 0.3 * normal(g, 2, 1, 2)},
+        noise={"nu": random_cost(g, 2).expand(2, 2, 2)},
+    )
+    state = normal(g, 2, 2)
+    with torch.inference_mode():
+        lived = state * 1.0
+    together = ValueErrorIndicator(generic)(learners, lived)
+    assert bool((together != 0).all())
+    for b in range(2):
+        loop = generic.loop(
+            {"weight": learners.model["weight"][b]}, {"weight": learners.policy["weight"][b]}
+        )
+        alone = value_error_estimate(
+            Belief(state[b], start_cov),
+            loop,
+            loop.act,
+            reward=reward,
+            noise=ConstantNoise(learners.noise["nu"][b]),
+            horizon=horizon,
+        )
+        assert float(together[b]) == pytest.approx(float(alone), rel=1e-10)

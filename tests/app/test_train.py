@@ -194,6 +194,35 @@ def test_without_evaluation_and_on_a_world_without_paths(command: Command, workp
     assert (workplace / "x" / "learning_curve.png").exists()
 
 
+@pytest.mark.parametrize("policy", ["linear", "squashed"])
+def test_the_value_error_estimate_is_logged_on_request(
+    command: Command, workplace: Path, policy: str
+) -> None:
+    """It vanishes where the closed loop is linear, and only there."""
+    result = command(
+        "edtorch-train",
+        *LINEAR,
+        f"policy={policy}",
+        "seeds=2",
+        "train.seconds=3",
+        "eval.episodes=0",
+        "unroll.horizon=3",
+        "step.alpha=30",
+        "log.every=1",
+        "log.value_error=true",
+        "log.figures=false",
+        "hydra.run.dir=x",
+    )
+    assert result.status == 0, result.err
+    estimates = [float(row["value_error_estimate"]) for row in _rows(workplace / "x/metrics.csv")]
+    assert len(estimates) == 6
+    sizes = [abs(estimate) for estimate in estimates]
+    assert (max(sizes) < 1e-12) if policy == "linear" else (max(sizes) > 1e-9)
+    events = EventAccumulator(str(workplace / "x"))
+    events.Reload()
+    assert len(events.Scalars("learning/value error estimate")) == 3
+
+
 def test_a_run_in_which_no_episode_ends(command: Command, workplace: Path) -> None:
     """The figures show the episode so far."""
     result = command(
