@@ -179,7 +179,8 @@ def main() -> None:
             f"first: {table[n]['standard_error_over_first_error']:.1e}"
         )
         print(
-            f"{'':15}{'median error':^40}{'median gain over first':^32}{'medians':>9}{'ms':>7}{'cost':>7}"
+            f"{'':15}{'median error':^40}{'median gain over first':^32}"
+            f"{'medians':>9}{'ms':>7}{'cost':>7}"
         )
         print(
             f"{'':15}"
