@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
-from torch.func import functional_call
 
 from edtorch.learner import Check, Learner
 from edtorch.policies import LinearPolicy
@@ -346,7 +345,7 @@ def evaluate(
         while bool(active.any()):
             clock += 1
             draw = streams.at(int(clock))
-            action = world.clip(functional_call(policy, expanded, (observation,)))
+            action = world.clip(policy.action(expanded, observation))
             state = select(active, world.step(state, action, draw.uniform), state)
             observation = world.observe(state)
             outcome = world.outcome(state, clock)

@@ -13,7 +13,6 @@ from enum import IntEnum
 
 import torch
 from torch import Tensor
-from torch.func import functional_call
 
 from edtorch.fit import Fit
 from edtorch.models import Model
@@ -97,8 +96,7 @@ class Learner:
 
     def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:
         """pi(s) plus exploration, ``[B, m]`` in scaled units; normal ``[B, m]`` standard normal."""
-        action = functional_call(self.policy, state.policy, (observation,))
-        return explore(action, normal, self.exploration)
+        return explore(self.policy.action(state.policy, observation), normal, self.exploration)
 
     def step(self, state: LearnerState, transition: Transition) -> tuple[LearnerState, Metrics]:
         """Steps 1-7 of Fig. 1 after one transition of each learner.

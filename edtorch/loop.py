@@ -27,7 +27,7 @@ class ClosedLoop:
 
     def act(self, state: Tensor) -> Tensor:
         """pi(s), ``[*batch, n] -> [*batch, m]``."""
-        return functional_call(self.policy, self.policy_parameters, (state,))
+        return self.policy.action(self.policy_parameters, state)
 
     def __call__(self, state: Tensor) -> Tensor:
         """mu_pi(s), ``[*batch, n] -> [*batch, n]``."""

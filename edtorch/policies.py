@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from edtorch.features import FeatureMap, Identity
 from edtorch.models import matvec
+from edtorch.types import Parameters
 
 
 class LinearPolicy(nn.Module):
@@ -28,7 +29,12 @@ class LinearPolicy(nn.Module):
 
     def forward(self, state: Tensor) -> Tensor:
         """``[*batch, n] -> [*batch, m]``."""
-        return matvec(self.weight, self.features(state))
+        return self.action({"weight": self.weight}, state)
+
+    def action(self, parameters: Parameters, state: Tensor) -> Tensor:
+        """``forward`` with these parameters: for the loop, where ``functional_call`` would cost more
+        than the policy itself."""
+        return matvec(parameters["weight"], self.features(state))
 
     def linear_gain(self, weight: Tensor) -> Tensor | None:
         """theta ``[*batch, m, n]`` if the weights ``[*batch, m, k]`` mean pi(s) = theta s."""
@@ -38,9 +44,9 @@ class LinearPolicy(nn.Module):
 class SquashedPolicy(LinearPolicy):
     """pi(s) = tanh(theta . phi(s)): actions bounded by their scale, smooth at the bound."""
 
-    def forward(self, state: Tensor) -> Tensor:
+    def action(self, parameters: Parameters, state: Tensor) -> Tensor:
         """``[*batch, n] -> [*batch, m]`` in (-1, 1)."""
-        return torch.tanh(super().forward(state))
+        return torch.tanh(super().action(parameters, state))
 
     def linear_gain(self, weight: Tensor) -> Tensor | None:
         """None: never linear."""
