@@ -32,8 +32,7 @@ class LinearPolicy(nn.Module):
         return self.action({"weight": self.weight}, state)
 
     def action(self, parameters: Parameters, state: Tensor) -> Tensor:
-        """``forward`` with these parameters: for the loop, where ``functional_call`` would cost more
-        than the policy itself."""
+        """``forward`` with these parameters; in the loop, ``functional_call`` would cost more."""
         return matvec(parameters["weight"], self.features(state))
 
     def linear_gain(self, weight: Tensor) -> Tensor | None:
