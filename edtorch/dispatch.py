@@ -8,9 +8,9 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from edtorch.closed_form import LinearMeanOnly, LinearMoment
+from edtorch.closed_form import LinearIgnorance, LinearMeanOnly, LinearMoment
 from edtorch.models import Model
-from edtorch.noise import Noise
+from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward, Reward
 from edtorch.transform import Cubature, FirstOrder, MeanOnly, SecondOrder, Transform
@@ -58,8 +58,9 @@ def choose_path(
         obstacles.append("the reward is not quadratic")
     if not isinstance(transform, EXACT_FOR_LINEAR):
         obstacles.append("the transform is not known to be exact for linear loops")
-    if transform.propagates_covariance and (noise is None or not noise.is_constant):
-        obstacles.append("the noise is not constant")
+    known = noise is not None and (noise.is_constant or isinstance(noise, BayesianNoise))
+    if transform.propagates_covariance and not known:
+        obstacles.append("the noise is neither constant nor Bayesian")
     if horizon.first_step == 0:
         obstacles.append("the value counts the reward of the present state")
     if wish == "closed_form" and obstacles:
@@ -74,6 +75,10 @@ def choose_path(
         return Choice(mean, reason, generic)
     n = model.states
     cov = model.weight.new_zeros(n, n) if start_cov is None else start_cov
-    moment = LinearMoment(model, policy, reward, horizon, weights, noise, cov.detach())
-    reason = "closed form (linear closed loop, quadratic reward, mean and covariance)"
-    return Choice(moment, reason, generic)
+    what = "mean and covariance"
+    path: ValuePath = LinearMoment(model, policy, reward, horizon, weights, noise, cov.detach())
+    if isinstance(noise, BayesianNoise):
+        averages = not isinstance(transform, FirstOrder)
+        path = LinearIgnorance(model, policy, reward, horizon, noise, cov.detach(), averages)
+        what = "mean, covariance and what the model does not know"
+    return Choice(path, f"closed form (linear closed loop, quadratic reward, {what})", generic)

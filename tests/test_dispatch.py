@@ -59,7 +59,7 @@ def test_linear_loops_get_the_closed_form() -> None:
         (AFFINE, PLAIN, REWARD, MeanOnly(), "the model is not linear"),
         (LINEAR, SquashedPolicy(2, 1, Identity(2)), REWARD, MeanOnly(), "the policy is not linear"),
         (LINEAR, PLAIN, lambda s, a: -s[..., 0].cos(), MeanOnly(), "the reward is not quadratic"),
-        (LINEAR, PLAIN, REWARD, FirstOrder(), "the noise is not constant"),
+        (LINEAR, PLAIN, REWARD, FirstOrder(), "the noise is neither constant"),
         (LINEAR, PLAIN, REWARD, OfMyOwn(), "not known to be exact for linear loops"),
     ],
 )

@@ -48,7 +48,7 @@ REFUSED = [
     (["unroll.path=foo"], r"unroll\.path=foo: expected one of auto, closed_form, generic"),
     (
         ["unroll.path=closed_form", "transform=first", "noise=linear"],
-        r"unroll\.path=closed_form: .*the noise is not constant",
+        r"unroll\.path=closed_form: .*the noise is neither constant",
     ),
     (["transform=first", "noise=bayesian"], r"noise\._target_=.*fit=least_squares"),
     (["unroll.start_deviation=-1"], r"unroll\.start_deviation=-1\.0: expected a number >= 0"),

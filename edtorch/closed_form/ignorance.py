@@ -1,0 +1,177 @@
+r"""Value and gradient when what the model does not know counts as noise.
+
+``BayesianNoise`` makes nu~ quadratic in the state: along a linear policy the features are K s with
+K = (I; theta), so that over one step nu_pi(s) = nu (1 + c s'H s), H = K'P K.  A transform that
+averages nu_pi over the belief sees E[s'H s] = tr(H X) with X the second moment (``averaged``:
+second order and cubature, both exact for quadratics); the paper's first order takes nu_pi at the
+mean m (``at_mean``).  With Z = X or m m' and q = tr(H Z),
+
+    X_{tau+1} = A X_tau A' + nu (1 + c q_tau),  V = -sum_tau w_tau tr(C X_tau),
+
+and adjoint Lambda (of X) and lambda (of m), g_tau = c tr(Lambda_{tau+1} nu):
+
+    Lambda_tau = w_tau C + A' Lambda_{tau+1} A  (+ g_tau H if averaged),
+    lambda_tau = A' lambda_{tau+1} + 2 g_tau H m_tau  (at the mean),
+    dV/dA = -2 sum Lambda_{tau+1} A X_tau  (- sum lambda_{tau+1} m_tau' at the mean),
+    dV/dtheta = G' dV/dA - 2 R theta sum w_tau X_tau - 2 sum g_tau (P K Z_tau) [rows of the
+    actions].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from edtorch.models import Model
+from edtorch.noise import BayesianNoise
+from edtorch.policies import LinearPolicy
+from edtorch.rewards import QuadraticReward
+from edtorch.types import Belief, Parameters
+from edtorch.unroll import Horizon, ValueGradient
+
+
+@dataclass(frozen=True)
+class UncertainLoop:
+    """A linear loop under ``BayesianNoise``, all for a batch of B.
+
+    F ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``; nu ``[B, n, n]`` over one step; P
+    ``[B, n + m, n + m]``; c: the stretch; cost C ``[B, n, n]``, the policy's part included.
+    """
+
+    F: Tensor
+    G: Tensor
+    theta: Tensor
+    nu: Tensor
+    P: Tensor
+    stretch: float
+    cost: Tensor
+
+    @property
+    def A(self) -> Tensor:
+        """F + G theta."""
+        return torch.baddbmm(self.F, self.G, self.theta)
+
+    @property
+    def features(self) -> Tensor:
+        """K = (I; theta), ``[B, n + m, n]``."""
+        n = self.F.shape[-1]
+        eye = torch.eye(n, dtype=self.F.dtype, device=self.F.device)
+        return torch.cat([eye.expand(self.F.shape), self.theta], dim=-2)
+
+
+def _trace(a: Tensor, b: Tensor) -> Tensor:
+    """tr(a b) of symmetric matrices, ``[B, 1, 1]``."""
+    return (a * b).sum((-1, -2), keepdim=True)
+
+
+def _outer(vector: Tensor) -> Tensor:
+    return vector.unsqueeze(-1) * vector.unsqueeze(-2)
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """What a forward and a backward pass found: X_1..X_T weighted, dV/dA, sum of g_tau Z_tau."""
+
+    weighted: Tensor
+    through: Tensor
+    ignorance: Tensor
+
+
+def averaged(loop: UncertainLoop, start: Belief, weights: Sequence[float]) -> _Pass:
+    """nu_pi averaged over the belief."""
+    A, K = loop.A, loop.features
+    H = K.mT @ loop.P @ K
+    moments = [_outer(start.mean) + start.cov]
+    for _ in weights:
+        grown = loop.nu * (1 + loop.stretch * _trace(H, moments[-1]))
+        moments.append(torch.baddbmm(grown, A @ moments[-1], A.mT))
+    adjoint = torch.zeros_like(loop.cost)
+    through = torch.zeros_like(A)
+    ignorance = torch.zeros_like(A)
+    for tau in range(len(weights) - 1, -1, -1):
+        # Here ``adjoint`` is that of X_{tau + 1}, its own cost still to be added.
+        adjoint = adjoint + weights[tau] * loop.cost
+        g = loop.stretch * _trace(adjoint, loop.nu)
+        through = through - 2 * adjoint @ A @ moments[tau]
+        ignorance = ignorance + g * moments[tau]
+        adjoint = A.mT @ adjoint @ A + g * H
+    weighted = sum((w * X for w, X in zip(weights, moments[1:], strict=True)), torch.zeros_like(A))
+    return _Pass(weighted, through, ignorance)
+
+
+def at_mean(loop: UncertainLoop, start: Belief, weights: Sequence[float]) -> _Pass:
+    """nu_pi at the mean of the belief: first order."""
+    A, K = loop.A, loop.features
+    H = K.mT @ loop.P @ K
+    means = [start.mean.unsqueeze(-1)]
+    moments = [_outer(start.mean) + start.cov]
+    for _ in weights:
+        here = means[-1]
+        grown = loop.nu * (1 + loop.stretch * (here.mT @ H @ here))
+        moments.append(torch.baddbmm(grown, A @ moments[-1], A.mT))
+        means.append(A @ here)
+    adjoint = torch.zeros_like(loop.cost)
+    pull = torch.zeros_like(means[0])
+    through = torch.zeros_like(A)
+    ignorance = torch.zeros_like(A)
+    for tau in range(len(weights) - 1, -1, -1):
+        adjoint = adjoint + weights[tau] * loop.cost
+        g = loop.stretch * _trace(adjoint, loop.nu)
+        through = through - 2 * adjoint @ A @ moments[tau] - pull @ means[tau].mT
+        ignorance = ignorance + g * (means[tau] @ means[tau].mT)
+        pull = A.mT @ pull + 2 * g * (H @ means[tau])
+        adjoint = A.mT @ adjoint @ A
+    weighted = sum((w * X for w, X in zip(weights, moments[1:], strict=True)), torch.zeros_like(A))
+    return _Pass(weighted, through, ignorance)
+
+
+@dataclass(frozen=True)
+class LinearIgnorance:
+    """A ``ValuePath`` for linear model and policy, quadratic reward and Bayesian noise.
+
+    averages: whether the transform averages the noise over the belief, or takes it at the mean;
+    the rest as in ``LinearMoment``.
+    """
+
+    model: Model
+    policy: LinearPolicy
+    reward: QuadraticReward
+    horizon: Horizon
+    noise: BayesianNoise
+    start_cov: Tensor
+    averages: bool
+    needs_autograd: bool = False
+
+    def __call__(
+        self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
+    ) -> ValueGradient:
+        """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
+        dynamics = self.model.linear_dynamics(model["weight"], self.horizon.dt)
+        theta = self.policy.linear_gain(policy["weight"])
+        if dynamics is None or theta is None:
+            raise ValueError("the closed loop is not linear in the state: no closed form")
+        costs_actions, R = self.reward.costs_actions, self.reward.action_cost
+        cost = self.reward.state_cost.expand(dynamics.state.shape)
+        if costs_actions:
+            cost = cost + theta.mT @ R @ theta
+        loop = UncertainLoop(
+            dynamics.state,
+            dynamics.action,
+            theta,
+            self.model.noise_over(noise["nu"], self.horizon.dt),
+            noise["P"],
+            self.noise.stretch,
+            cost,
+        )
+        start = Belief(state, self.start_cov.expand(*state.shape, state.shape[-1]))
+        passes = averaged if self.averages else at_mean
+        found = passes(loop, start, self.horizon.weights())
+        gradient = dynamics.action.mT @ found.through
+        known = loop.P @ loop.features @ found.ignorance
+        gradient = gradient - 2 * known[..., state.shape[-1] :, :]
+        if costs_actions:
+            gradient = gradient - 2 * R @ theta @ found.weighted
+        return ValueGradient(-(cost * found.weighted).sum((-1, -2)), {"weight": gradient})

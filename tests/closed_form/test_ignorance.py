@@ -1,0 +1,66 @@
+"""Bayesian noise in closed form equals the generic path, at the mean and averaged."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from edtorch.closed_form import LinearIgnorance, LinearMoment
+from edtorch.dispatch import choose_path
+from edtorch.noise import BayesianNoise, ResidualNoise
+from edtorch.transform import Cubature, FirstOrder, SecondOrder, Transform
+from tests.systems import linear_case, random_cost
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("transform", [FirstOrder(), SecondOrder(), Cubature()])
+@pytest.mark.parametrize(("n", "m", "steps"), [(1, 1, 1), (3, 2, 2), (5, 2, 9)])
+@pytest.mark.parametrize("action_cost", [False, True])
+def test_equals_the_generic_path(
+    n: int, m: int, steps: int, action_cost: bool, transform: Transform
+) -> None:
+    case = linear_case(n, m, steps, action_cost=action_cost)
+    g = torch.Generator().manual_seed(0)
+    noise = {
+        "nu": random_cost(g, n).expand(3, n, n).clone(),
+        "P": random_cost(g, n + m).expand(3, n + m, n + m).clone(),
+    }
+    old = case.generic
+    choice = choose_path(
+        "closed_form",
+        old.model,
+        old.policy,
+        old.reward,
+        transform,
+        old.horizon,
+        noise=BayesianNoise(1.0, stretch=3.0),
+        start_cov=random_cost(g, n),
+    )
+    assert isinstance(choice.path, LinearIgnorance) and "does not know" in choice.reason
+    arguments = (case.model, case.policy, noise, case.state)
+    wanted, found = choice.generic(*arguments), choice.path(*arguments)
+    assert torch.allclose(found.value, wanted.value, rtol=1e-9, atol=0)
+    difference = found.gradient["weight"] - wanted.gradient["weight"]
+    size = wanted.gradient["weight"].flatten(1).norm(dim=-1)
+    assert bool((difference.flatten(1).norm(dim=-1) <= 1e-9 * size).all())
+
+
+@pytest.mark.parametrize("transform", [FirstOrder(), Cubature()])
+def test_a_model_that_knows_everything_has_constant_noise(transform: Transform) -> None:
+    case = linear_case(4, 2, 6)
+    g = torch.Generator().manual_seed(1)
+    nu = random_cost(g, 4).expand(3, 4, 4).clone()
+    old, results = case.generic, []
+    for rule, memory in (
+        (BayesianNoise(1.0), {"nu": nu, "P": torch.zeros(3, 6, 6).double()}),
+        (ResidualNoise(1.0), {"nu": nu}),
+    ):
+        path = choose_path(
+            "auto", old.model, old.policy, old.reward, transform, old.horizon, noise=rule
+        ).path
+        assert isinstance(path, LinearIgnorance | LinearMoment)
+        results.append(path(case.model, case.policy, memory, case.state))
+    assert torch.allclose(results[0].value, results[1].value, rtol=1e-12)
+    assert torch.allclose(
+        results[0].gradient["weight"], results[1].gradient["weight"], rtol=1e-9, atol=1e-12
+    )
