@@ -1,0 +1,54 @@
+"""The table of docs/theory.md from the results of benchmarks/transforms.py.
+
+    python benchmarks/transforms_table.py [--json runs/reference/transforms.json] [--docs PATH]
+
+Without --docs it only prints the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+MARK = "<!-- transforms table -->"
+
+
+def markdown(results: dict[str, Any]) -> str:
+    """A row per dimension and transform."""
+    lines = [
+        "| n | transform | mean | covariance | reward | value | value, ratio of medians | cost |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for n, result in results.items():
+        for name, row in result["transforms"].items():
+            if name == "first":
+                continue
+            gains = " | ".join(f"{row['gain'][q]:.3g}" for q in ("mean", "cov", "reward", "value"))
+            ratio, cost = row["ratio_of_medians"]["value"], row["cost"]
+            lines.append(f"| {n} | `{name}` | {gains} | {ratio:.3g} | {cost:.2f} |")
+    ratios = ", ".join(
+        f"{result['indicator_ratio']['median']:.2f} (n = {n})" for n, result in results.items()
+    )
+    lines += ["", f"Value error estimate over true value error of `first`, median: {ratios}."]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="The table of docs/theory.md.")
+    parser.add_argument("--json", type=Path, default=Path("runs/reference/transforms.json"))
+    parser.add_argument("--docs", type=Path)
+    options = parser.parse_args()
+    content = json.loads(options.json.read_text(encoding="utf-8"))
+    made = f"Made by `{content['command']}`, torch {content['torch']}."
+    table = f"{markdown(content['results'])}\n\n{made}"
+    print(table)
+    if options.docs is not None:
+        before, _, after = options.docs.read_text(encoding="utf-8").split(MARK)
+        text = f"{before}{MARK}\n{table}\n{MARK}{after}"
+        options.docs.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
