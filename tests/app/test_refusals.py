@@ -51,7 +51,10 @@ REFUSED = [
         r"unroll\.path=closed_form: .*the noise is neither constant",
     ),
     (["transform=first", "noise=bayesian"], r"noise\._target_=.*fit=least_squares"),
-    (["unroll.start_deviation=-1"], r"unroll\.start_deviation=-1\.0: expected a number >= 0"),
+    (
+        ["unroll.start_deviation=-1"],
+        r"unroll\.start_deviation=-1\.0: expected a finite number >= 0",
+    ),
     (["train.seconds=null", "train.rides=null"], r"train\.seconds=null.*expected a number for"),
     (["train.seconds=0"], r"train\.seconds=0\.0: expected a finite number > 0"),
     (["train.episodes=0"], r"train\.episodes=0: expected an integer >= 1"),
