@@ -1,4 +1,4 @@
-"""The unroll of a linear-quadratic problem is the Lyapunov value, and its gradient the formula's."""
+"""The unroll of a linear-quadratic problem is the Lyapunov value, its gradient the formula."""
 
 from __future__ import annotations
 
