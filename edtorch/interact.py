@@ -14,6 +14,7 @@ from torch import Tensor
 from edtorch.learner import Check, Learner
 from edtorch.policies import LinearPolicy
 from edtorch.streams import Draw, Purpose, Streams, stream_key
+from edtorch.trail import Trail
 from edtorch.types import (
     LearnerState,
     Metrics,
@@ -105,34 +106,6 @@ class Snapshot:
     error: list[float]
     policy_norm: list[float]
     value_error: list[float] | None = None
-
-
-class Trail:
-    """Recent states of every world, each ``stride`` ticks: a ring of ``capacity`` rows."""
-
-    def __init__(self, world: Tensor, stride: int, capacity: int) -> None:
-        self.stride = stride
-        self.capacity = capacity
-        self._rows = torch.arange(world.shape[0])
-        self._ring = torch.zeros(capacity, *world.shape, dtype=world.dtype)
-        self._count = torch.zeros(world.shape[0], dtype=torch.int64)
-
-    def append(self, world: Tensor, active: Tensor) -> None:
-        """Add the states of the active learners."""
-        place = self._count % self.capacity
-        kept = self._ring[place, self._rows]
-        self._ring[place, self._rows] = torch.where(active.unsqueeze(-1), world, kept)
-        self._count += active
-
-    def position(self, row: int) -> int:
-        """How many states of this learner have been added."""
-        return int(self._count[row])
-
-    def states(self, row: int, first: int, last: int) -> Tensor:
-        """States first..last-1 of a learner, ``[T, k]``; as many of the last as are still there."""
-        first = max(first, self.position(row) - self.capacity)
-        index = torch.arange(first, max(first, last)) % self.capacity
-        return self._ring[index, row]
 
 
 @dataclass

@@ -125,7 +125,7 @@ class SimEnv(gymnasium.Env[Array, Array]):
             reward -= self.fail_penalty
         return observation, float(reward), terminated, truncated, info
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> Any:
         """The picture that the sim draws of the episode so far, RGB uint8; None without a mode."""
         if self.render_mode is None or not isinstance(self.sim, Pictured):
             return None

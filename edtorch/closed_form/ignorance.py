@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from edtorch.closed_form.linear import linear_loop
 from edtorch.models import Model
 from edtorch.noise import BayesianNoise
 from edtorch.policies import LinearPolicy
@@ -149,17 +150,14 @@ class LinearIgnorance:
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
-        dynamics = self.model.linear_dynamics(model["weight"], self.horizon.dt)
-        theta = self.policy.linear_gain(policy["weight"])
-        if dynamics is None or theta is None:
-            raise ValueError("the closed loop is not linear in the state: no closed form")
+        F, G, theta = linear_loop(self.model, self.policy, model, policy, self.horizon.dt)
         costs_actions, R = self.reward.costs_actions, self.reward.action_cost
-        cost = self.reward.state_cost.expand(dynamics.state.shape)
+        cost = self.reward.state_cost.expand(F.shape)
         if costs_actions:
             cost = cost + theta.mT @ R @ theta
         loop = UncertainLoop(
-            dynamics.state,
-            dynamics.action,
+            F,
+            G,
             theta,
             self.model.noise_over(noise["nu"], self.horizon.dt),
             noise["P"],
@@ -169,7 +167,7 @@ class LinearIgnorance:
         start = Belief(state, self.start_cov.expand(*state.shape, state.shape[-1]))
         passes = averaged if self.averages else at_mean
         found = passes(loop, start, self.horizon.weights())
-        gradient = dynamics.action.mT @ found.through
+        gradient = G.mT @ found.through
         known = loop.P @ loop.features @ found.ignorance
         gradient = gradient - 2 * known[..., state.shape[-1] :, :]
         if costs_actions:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from edtorch.closed_form.linear import linear_loop
 from edtorch.models import Model
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
@@ -109,14 +110,9 @@ class LinearMeanOnly:
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
-        dynamics = self.model.linear_dynamics(model["weight"], self.horizon.dt)
-        theta = self.policy.linear_gain(policy["weight"])
-        if dynamics is None or theta is None:
-            raise ValueError("the closed loop is not linear in the state: no closed form")
+        loop = linear_loop(self.model, self.policy, model, policy, self.horizon.dt)
         value, gradient = mean_value_and_gradient(
-            dynamics.state,
-            dynamics.action,
-            theta,
+            *loop,
             state,
             state_cost=self.reward.state_cost,
             action_cost=self.reward.action_cost if self.reward.costs_actions else None,

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from edtorch.closed_form.linear import linear_loop
 from edtorch.models import Model
 from edtorch.noise import Noise
 from edtorch.policies import LinearPolicy
@@ -99,14 +100,9 @@ class LinearMoment:
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
-        dynamics = self.model.linear_dynamics(model["weight"], self.horizon.dt)
-        theta = self.policy.linear_gain(policy["weight"])
-        if dynamics is None or theta is None:
-            raise ValueError("the closed loop is not linear in the state: no closed form")
+        loop = linear_loop(self.model, self.policy, model, policy, self.horizon.dt)
         value, gradient = moment_value_and_gradient(
-            dynamics.state,
-            dynamics.action,
-            theta,
+            *loop,
             Belief(state, self.start_cov.expand(*state.shape, state.shape[-1])),
             self.model.noise_over(self.noise.covariance(noise, state), self.horizon.dt),
             state_cost=self.reward.state_cost,
