@@ -134,7 +134,8 @@ class Training:
     seeds: one per learner; learner k draws from the stream of its seed alone, so that it does the
     same in any population.  ``advance`` runs ticks; ``learners``, ``worlds`` and ``clock`` are the
     whole state (``edtorch.checkpoint`` saves them).  finite ``[3, B]``: whether everything has been
-    so far, see ``edtorch.learner.Check``.
+    so far, see ``edtorch.learner.Check``; first_floored ``[B]``: the step of an unroll from which
+    on a covariance first had to be floored, -1 as long as none had.
     """
 
     def __init__(
@@ -153,6 +154,7 @@ class Training:
         self.learners: LearnerState = learner.initial(self.seeds)
         self.episodes: list[Episode] = []
         self.finite = torch.ones(len(Check), len(self.seeds), dtype=torch.bool)
+        self.first_floored = torch.full((len(self.seeds),), -1, dtype=torch.int64)
         self._everybody = True
         keys = [stream_key(seed, Purpose.LEARNING) for seed in self.seeds]
         actions = len(world.spec.action)
@@ -212,6 +214,9 @@ class Training:
         self.learners, metrics = self.learner.step(self.learners, transition)
 
         self.finite &= metrics.finite | ~here.active
+        if metrics.first_floored is not None:
+            fresh = here.active & (self.first_floored < 0)
+            self.first_floored = torch.where(fresh, metrics.first_floored, self.first_floored)
         self._sums.add(metrics, here.active)
         if not self._everybody:
             state = select(here.active, state, here.world)

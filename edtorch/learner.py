@@ -142,4 +142,4 @@ class Learner:
         )
         error = fitted.residual.abs().mean(-1)
         finite = torch.stack([sound, fit_ok, value_ok])
-        return learned, Metrics(here.value, size, error, finite)
+        return learned, Metrics(here.value, size, error, finite, here.first_floored)

@@ -96,13 +96,14 @@ class Metrics:
 
     value: V~ before the step; gradient: |dV~/dtheta|; error: mean over state components of
     |target - prediction| before the fit; finite ``[3, B]``: by place, see
-    ``edtorch.learner.Check``.
+    ``edtorch.learner.Check``; first_floored: as in ``Trajectory``, None where nothing can be.
     """
 
     value: Tensor
     gradient: Tensor
     error: Tensor
     finite: Tensor
+    first_floored: Tensor | None
 
 
 def select(mask: Tensor, yes: Tensor, no: Tensor) -> Tensor:

@@ -161,10 +161,14 @@ def unroll(
 
 @dataclass(frozen=True)
 class ValueGradient:
-    """value ``[B]`` and its gradient with respect to each policy parameter ``[B, ...]``."""
+    """value ``[B]`` and its gradient with respect to each policy parameter ``[B, ...]``.
+
+    first_floored ``[B]`` as in ``Trajectory``; None where no covariance can need it.
+    """
 
     value: Tensor
     gradient: Parameters
+    first_floored: Tensor | None = None
 
 
 class ValuePath(Protocol):
@@ -243,9 +247,9 @@ class Generic:
     ) -> ValueGradient:
         """See ``ValuePath``."""
 
-        def total(parameters: Parameters) -> tuple[Tensor, Tensor]:
-            value = self.trajectory(model, parameters, noise, self.start(state)).value
-            return value.sum(), value
+        def total(parameters: Parameters) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+            found = self.trajectory(model, parameters, noise, self.start(state))
+            return found.value.sum(), (found.value, found.first_floored)
 
-        gradient, (_, value) = grad_and_value(total, has_aux=True)(policy)
-        return ValueGradient(value, gradient)
+        gradient, (_, (value, first_floored)) = grad_and_value(total, has_aux=True)(policy)
+        return ValueGradient(value, gradient, first_floored)

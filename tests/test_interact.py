@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import itertools
+from typing import ClassVar
 
 import pytest
 import torch
+from torch import Tensor
 
+from edtorch.dispatch import choose_path
+from edtorch.features import Identity
 from edtorch.fit import AbsoluteError, Fit, RecursiveLeastSquares, SquaredError
 from edtorch.interact import Budget, Training, evaluate
+from edtorch.learner import Learner
+from edtorch.noise import ResidualNoise
+from edtorch.policies import LinearPolicy
+from edtorch.rewards import QuadraticReward
+from edtorch.transform import SecondOrder
+from edtorch.types import Parameters
+from edtorch.unroll import Horizon
+from edtorch.update import PlainStep
 from edtorch.world import World
 from sims.base import Outcome
 from sims.bicycle import Bicycle
-from tests.systems import bicycle_learner, bicycle_training
+from sims.linear import LinearSystem
+from tests.systems import bicycle_learner, bicycle_training, next_state_model
 
 
 def run(training: Training, chunk: int = 137) -> Training:
@@ -66,6 +79,41 @@ def test_single_precision_learns_as_well() -> None:
     training = run(Training(bicycle_learner(world), world, [0, 1], Budget(seconds=4.0)))
     assert training.learners.policy["weight"].dtype == torch.float32
     assert bool(training.finite.all()) and bool(training.learners.policy["weight"].any())
+
+
+class HotterInTheMiddle(ResidualNoise):
+    """Noise that falls off so steeply that its curvature outweighs it."""
+
+    is_constant: ClassVar[bool] = False
+
+    def covariance(self, memory: Parameters, phi: Tensor) -> Tensor:
+        size = torch.exp(-50 * phi.square().sum(-1))
+        return size[..., None, None] * (memory["nu"] + 1e-3 * torch.eye(memory["nu"].shape[-1]))
+
+
+def test_floored_covariances_are_seen_with_the_step_at_which_that_began() -> None:
+    world = World(LinearSystem([[1.0]], [[0.5]], time_limit=20.0))
+    model, policy = next_state_model(1, 1), LinearPolicy(1, 1, Identity(1))
+    reward = QuadraticReward(torch.eye(1).double(), torch.zeros(1, 1).double())
+    rule = HotterInTheMiddle(1.0)
+    path = choose_path(
+        "auto",
+        model,
+        policy,
+        reward,
+        SecondOrder(),
+        Horizon(4, 1.0, 1.0, 1.0),
+        noise=rule,
+        start_cov=torch.eye(1).double(),
+    ).path
+    learner = Learner(model, policy, SquaredError(0.1), rule, path, PlainStep(0.0), 0.1)
+    training = Training(learner, world, [0, 1], Budget(seconds=3.0))
+    assert training.first_floored.tolist() == [-1, -1]
+    run(training)
+    assert all(1 <= step <= 4 for step in training.first_floored.tolist())
+    assert bool(training.finite.all())
+    calm = run(bicycle_training([0], Budget(seconds=1.0)))
+    assert calm.first_floored.tolist() == [-1]
 
 
 def test_budgets_count_per_learner() -> None:

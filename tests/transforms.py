@@ -21,7 +21,7 @@ def transforms(states: int, *, mean_only: bool = False, monte_carlo: bool = True
     generator = torch.Generator().manual_seed(0)
     every: list[Transform] = [FirstOrder(), SecondOrder(), Cubature(), GaussHermite(3)]
     if monte_carlo:
-        every.append(MonteCarlo.drawn(200, states, generator))
+        every.append(MonteCarlo(200, states, generator))
     if mean_only:
         every.insert(0, MeanOnly())
     return [pytest.param(transform, id=type(transform).__name__) for transform in every]

@@ -202,7 +202,15 @@ def build(config: DictConfig) -> Setup:
     model = _build_model(config.model, world, dtype, config.seed)
     policy = build_policy(config.policy, sim, dtype, config.seed)
     reward = build_reward(config.reward, sim, dtype)
-    transform = construct("transform", config.transform, "move", "reward", "keeps_positive")
+    transform = construct(
+        "transform",
+        config.transform,
+        "move",
+        "reward",
+        "keeps_positive",
+        states=model.states,
+        generator=torch.Generator().manual_seed(config.seed),
+    )
     fit = construct("fit", config.fit, "initial", "update")
     with under("unroll"):
         euler = isinstance(model, DerivativeModel)

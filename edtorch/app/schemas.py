@@ -166,6 +166,20 @@ class TransformConfig:
 
 
 @dataclass
+class GaussHermiteConfig(TransformConfig):
+    """``edtorch.transform.GaussHermite``."""
+
+    order: int = 3
+
+
+@dataclass
+class MonteCarloConfig(TransformConfig):
+    """``edtorch.transform.MonteCarlo``."""
+
+    samples: int = 200
+
+
+@dataclass
 class UnrollConfig:
     """horizon: steps; dt: seconds a step (derivative form); discount: per second, or per step;
     start_deviation: scaled standard deviation of the belief that it starts from; path: auto,
@@ -290,7 +304,11 @@ SCHEMAS: dict[str, dict[str, type]] = {
     },
     "noise": {"noise_schema": NoiseConfig},
     "policy": {"policy_schema": PolicyConfig},
-    "transform": {"transform_schema": TransformConfig},
+    "transform": {
+        "transform_schema": TransformConfig,
+        "gauss_hermite_schema": GaussHermiteConfig,
+        "monte_carlo_schema": MonteCarloConfig,
+    },
     "step": {"saturated_schema": SaturatedStepConfig, "plain_schema": PlainStepConfig},
 }
 

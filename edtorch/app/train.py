@@ -37,6 +37,7 @@ from edtorch.app.summary import (
 from edtorch.checkpoint import save_policy, save_training, write_text
 from edtorch.interact import Training, evaluate
 from edtorch.log import ConsoleSink, CsvSink, Sink, StderrHandler, TensorBoardSink
+from edtorch.trouble import CovarianceFloored
 
 logger = logging.getLogger("edtorch")
 
@@ -81,6 +82,21 @@ def _warn_of_trouble(training: Training, warned: set[int]) -> None:
             )
 
 
+def _warn_of_floors(training: Training, warned: set[int]) -> None:
+    """One line for each learner whose covariances had to be repaired, when it is first seen."""
+    for row in (training.first_floored >= 0).nonzero().flatten().tolist():
+        if row not in warned:
+            warned.add(row)
+            logger.warning(
+                "seed %d: %s from step %d of the unroll on (tick %d or before): the covariance was "
+                "not positive semidefinite",
+                training.seeds[row],
+                CovarianceFloored.__name__,
+                int(training.first_floored[row]),
+                training.clock,
+            )
+
+
 def _advance(training: Training, ticks: int, stop: Stop) -> None:
     """Run ``ticks`` ticks, or to the end of the tick in which a signal comes."""
     for done in range(0, ticks, _PIECE):
@@ -94,7 +110,7 @@ def _learn(job: _Job, training: Training, sinks: list[Sink]) -> None:
     log = job.config.log
     per_snapshot = max(1, round(log.every / training.world.dt))
     next_save = log.checkpoint
-    reported, warned = 0, set()
+    reported, warned, floored = 0, set(), set()
     while not training.done:
         _advance(training, per_snapshot, job.stop)
         snapshot = training.snapshot()
@@ -105,6 +121,7 @@ def _learn(job: _Job, training: Training, sinks: list[Sink]) -> None:
             sink.write(snapshot, training.episodes[reported:])
         reported = len(training.episodes)
         _warn_of_trouble(training, warned)
+        _warn_of_floors(training, floored)
         if training.seconds >= next_save:
             save_training(job.path / CHECKPOINT, training)
             next_save += log.checkpoint

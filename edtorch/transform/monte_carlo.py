@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -14,34 +12,28 @@ from edtorch.transform.noise import is_positive
 from edtorch.types import Belief
 
 
-@dataclass(frozen=True)
 class MonteCarlo:
-    """Moments over given standard normal ``draws`` ``[N, n]``, N > n, the same at every step.
+    """Moments over ``samples`` standard normal draws for n = ``states``, the same at every step.
 
-    The draws are standardised (mean 0, covariance I exactly), so that linear closed loops and
-    quadratic rewards are exact and only the rest is random.  A ValueError names too few of them.
+    The draws, from ``generator``, are standardised (mean 0, covariance I exactly), so that linear
+    closed loops and quadratic rewards are exact and only the rest is random.  ValueError unless
+    there are more samples than states.
     """
 
-    draws: Tensor
     propagates_covariance = True
     differentiates_reward = False
 
-    def __post_init__(self) -> None:
-        if self.draws.ndim != 2 or self.draws.shape[0] <= self.draws.shape[1]:
-            raise ValueError(f"draws have shape {tuple(self.draws.shape)}, expected [N, n], N > n")
-        centred = self.draws - self.draws.mean(0)
-        lower = torch.linalg.cholesky(centred.mT @ centred / len(centred))
-        whitened = torch.linalg.solve_triangular(lower, centred.mT, upper=False).mT
-        object.__setattr__(self, "draws", whitened)
+    def __init__(self, samples: int, states: int, generator: torch.Generator) -> None:
+        if samples <= states:
+            raise ValueError(f"samples={samples}: expected more than the {states} states")
+        draws = torch.randn(samples, states, generator=generator, dtype=torch.float64)
+        centred = draws - draws.mean(0)
+        lower = torch.linalg.cholesky(centred.mT @ centred / samples)
+        self._draws = torch.linalg.solve_triangular(lower, centred.mT, upper=False).mT
 
-    @classmethod
-    def drawn(cls, samples: int, states: int, generator: torch.Generator) -> MonteCarlo:
-        """With ``samples`` float64 draws for ``states`` variables from ``generator``."""
-        return cls(torch.randn(samples, states, generator=generator, dtype=torch.float64))
-
-    def _nodes(self) -> points.Nodes:
-        count = len(self.draws)
-        return points.Nodes(self.draws, self.draws.new_full((count,), 1 / count))
+    def _nodes(self, like: Tensor) -> points.Nodes:
+        count = len(self._draws)
+        return points.Nodes(self._draws.to(like), like.new_full((count,), 1 / count))
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """A mean of covariances is one, so all depends on nu."""
@@ -49,8 +41,8 @@ class MonteCarlo:
 
     def move(self, belief: Belief, closed_loop: StateFunction, noise: StateFunction) -> Belief:
         """One step; see the class."""
-        return points.move(belief, closed_loop, noise, self._nodes())
+        return points.move(belief, closed_loop, noise, self._nodes(belief.mean))
 
     def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
         """r_pi averaged over the draws."""
-        return points.reward(reward, belief, policy, self._nodes())
+        return points.reward(reward, belief, policy, self._nodes(belief.mean))

@@ -93,7 +93,7 @@ DIRECT = [
     (schemas.UnrollConfig, Horizon, {"steps", "unit"}),
 ]
 # From the domain, not from configuration; and what a transform says of itself.
-HANDED_IN = {"states", "actions", "period", "dtype", "stretch"}
+HANDED_IN = {"states", "actions", "period", "dtype", "stretch", "generator"}
 
 
 def _schema_fields(node: DictConfig) -> tuple[Field[Any], ...]:
