@@ -83,10 +83,9 @@ def load_training(path: Path, training: Training) -> None:
         raise FileProblem(
             f"{path}: model weights are {tuple(found)}, this configuration has {tuple(wanted)}"
         )
-    training.learners = LearnerState(**learners)
-    training.worlds = Experience(**worlds)
-    training.clock = content["clock"]
-    training.finite = content["finite"]
+    training.restore(
+        LearnerState(**learners), Experience(**worlds), content["clock"], content["finite"]
+    )
 
 
 @dataclass(frozen=True)

@@ -184,6 +184,13 @@ class Training:
             rides=zero,
         )
 
+    def restore(
+        self, learners: LearnerState, worlds: Experience, clock: int, finite: Tensor
+    ) -> None:
+        """Go on from what another ``Training`` of the same seeds has reached."""
+        self.learners, self.worlds, self.clock, self.finite = learners, worlds, clock, finite
+        self._everybody = bool(worlds.active.all())
+
     @property
     def done(self) -> bool:
         """Whether every learner has used up its budget."""

@@ -49,6 +49,21 @@ def test_interrupted_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["saved.pt"]
 
 
+def test_learners_that_were_done_go_on_waiting(tmp_path: Path) -> None:
+    budget = Budget(seconds=20.0, episodes=3)
+    first, second = (bicycle_training([0, 1, 2], budget) for _ in range(2))
+    while bool(first.worlds.active.all()):
+        first.advance(1)
+    save_training(tmp_path / "saved.pt", first)
+    load_training(tmp_path / "saved.pt", second)
+    waiting = int((~first.worlds.active).nonzero()[0])
+    before = second.worlds.world[waiting].clone()
+    second.advance(50)
+    assert torch.equal(second.worlds.world[waiting], before)
+    first.advance(50)
+    assert torch.equal(second.worlds.world, first.worlds.world)
+
+
 def test_a_population_is_not_loaded_into_another(tmp_path: Path) -> None:
     save_training(tmp_path / "saved.pt", bicycle_training([0, 1], Budget(seconds=1.0)))
     with pytest.raises(FileProblem, match=r"seeds \[0, 1\], expected \[0, 2\]"):
