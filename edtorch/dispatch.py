@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from edtorch.closed_form import LinearIgnorance, LinearMeanOnly, LinearMoment
+from edtorch.closed_form.ignorance import at_mean, averaged
 from edtorch.models import Model
 from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
@@ -78,7 +79,7 @@ def choose_path(
     what = "mean and covariance"
     path: ValuePath = LinearMoment(model, policy, reward, horizon, weights, noise, cov.detach())
     if isinstance(noise, BayesianNoise):
-        averages = not isinstance(transform, FirstOrder)
-        path = LinearIgnorance(model, policy, reward, horizon, noise, cov.detach(), averages)
+        passes = at_mean if isinstance(transform, FirstOrder) else averaged
+        path = LinearIgnorance(model, policy, reward, horizon, noise, cov.detach(), passes)
         what = "mean, covariance and what the model does not know"
     return Choice(path, f"closed form (linear closed loop, quadratic reward, {what})", generic)

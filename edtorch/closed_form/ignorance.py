@@ -19,7 +19,7 @@ and adjoint Lambda (of X) and lambda (of m), g_tau = c tr(Lambda_{tau+1} nu):
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -73,7 +73,7 @@ def _outer(vector: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class _Pass:
+class Passes:
     """What a forward and a backward pass found: X_1..X_T weighted, dV/dA, sum of g_tau Z_tau."""
 
     weighted: Tensor
@@ -81,7 +81,7 @@ class _Pass:
     ignorance: Tensor
 
 
-def averaged(loop: UncertainLoop, start: Belief, weights: Sequence[float]) -> _Pass:
+def averaged(loop: UncertainLoop, start: Belief, weights: Sequence[float]) -> Passes:
     """nu_pi averaged over the belief."""
     A, K = loop.A, loop.features
     H = K.mT @ loop.P @ K
@@ -100,10 +100,10 @@ def averaged(loop: UncertainLoop, start: Belief, weights: Sequence[float]) -> _P
         ignorance = ignorance + g * moments[tau]
         adjoint = A.mT @ adjoint @ A + g * H
     weighted = sum((w * X for w, X in zip(weights, moments[1:], strict=True)), torch.zeros_like(A))
-    return _Pass(weighted, through, ignorance)
+    return Passes(weighted, through, ignorance)
 
 
-def at_mean(loop: UncertainLoop, start: Belief, weights: Sequence[float]) -> _Pass:
+def at_mean(loop: UncertainLoop, start: Belief, weights: Sequence[float]) -> Passes:
     """nu_pi at the mean of the belief: first order."""
     A, K = loop.A, loop.features
     H = K.mT @ loop.P @ K
@@ -126,15 +126,15 @@ def at_mean(loop: UncertainLoop, start: Belief, weights: Sequence[float]) -> _Pa
         pull = A.mT @ pull + 2 * g * (H @ means[tau])
         adjoint = A.mT @ adjoint @ A
     weighted = sum((w * X for w, X in zip(weights, moments[1:], strict=True)), torch.zeros_like(A))
-    return _Pass(weighted, through, ignorance)
+    return Passes(weighted, through, ignorance)
 
 
 @dataclass(frozen=True)
 class LinearIgnorance:
     """A ``ValuePath`` for linear model and policy, quadratic reward and Bayesian noise.
 
-    averages: whether the transform averages the noise over the belief, or takes it at the mean;
-    the rest as in ``LinearMoment``.
+    passes: ``averaged`` or ``at_mean``, as the transform takes the noise; the rest as in
+    ``LinearMoment``.
     """
 
     model: Model
@@ -143,7 +143,7 @@ class LinearIgnorance:
     horizon: Horizon
     noise: BayesianNoise
     start_cov: Tensor
-    averages: bool
+    passes: Callable[[UncertainLoop, Belief, Sequence[float]], Passes]
     needs_autograd: bool = False
 
     def __call__(
@@ -165,8 +165,7 @@ class LinearIgnorance:
             cost,
         )
         start = Belief(state, self.start_cov.expand(*state.shape, state.shape[-1]))
-        passes = averaged if self.averages else at_mean
-        found = passes(loop, start, self.horizon.weights())
+        found = self.passes(loop, start, self.horizon.weights())
         gradient = G.mT @ found.through
         known = loop.P @ loop.features @ found.ignorance
         gradient = gradient - 2 * known[..., state.shape[-1] :, :]
