@@ -2,71 +2,23 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 
 from edtorch.bounds import (
     GAUSSIAN,
     UNIFORM,
-    Constants,
     NoiseLaw,
-    Path,
     StartLaw,
     bound_errors,
-    corrected_covariance_bound,
-    corrected_mean_bound,
-    corrected_reward_bound,
     definition_weights,
-    noise_change,
 )
 from edtorch.types import Belief
-from tests.bounds.coupled import Draw, Step, coupled, gaussian, uniform
+from tests.bounds.coupled import Draw, coupled, gaussian, one_step, uniform
 from tests.bounds.systems import smooth_system
 from tests.systems import random_cost
 
 HORIZON = 10
-
-
-def one_step(path: Path, t: int, now: Step, constants: Constants) -> tuple[float, float, float]:
-    """(T1), (T2) and (T3) from the moments of P_t that Monte Carlo found."""
-    J, H = path.jacobian[min(t, path.steps - 1)], path.reward_hessian[t]
-    D_2, D_4 = now.second_moment.size, now.fourth_moment.size
-    j = torch.linalg.matrix_norm(J, ord=2).item()
-    gradient = path.noise_jacobian[min(t, path.steps - 1)].flatten(0, 1)
-    change = noise_change(
-        noise_slope=constants.noise_slope,
-        second_moment=D_2,
-        noise_gradient=torch.linalg.matrix_norm(gradient, ord=2).item(),
-        mean_error=now.mean.size,
-        noise_curvature=constants.noise_curvature,
-    )
-    return (
-        corrected_mean_bound(
-            jacobian=j,
-            mean_error=now.mean.size,
-            curvature=constants.curvature,
-            second_moment=D_2,
-        ),
-        corrected_covariance_bound(
-            jacobian=j,
-            cov_error=now.cov.size,
-            noise_change=change,
-            curvature=constants.curvature,
-            pushed_trace=(J @ now.cov_matrix @ J.T).trace().item(),
-            fourth_moment=D_4,
-        ),
-        corrected_reward_bound(
-            gradient=torch.linalg.vector_norm(path.reward_gradient[t]).item(),
-            mean_error=now.mean.size,
-            hessian_frobenius=torch.linalg.matrix_norm(H).item(),
-            cov_error=now.cov.size,
-            hessian=torch.linalg.matrix_norm(H, ord=2).item(),
-            reward_third=constants.reward_third,
-            third_moment=math.sqrt(D_2 * D_4),
-        ),
-    )
 
 
 @pytest.mark.oracle
