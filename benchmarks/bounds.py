@@ -1,8 +1,8 @@
 """How tight the corrected bounds are: bound over error on random smooth systems, per dimension.
 
 Gaussian noise, weak (v0 .02), ten steps from a known state, exact constants, errors by coupled
-Monte Carlo; medians over systems and steps of the ratios whose error Monte Carlo resolves (more than
-8 standard errors, and not rounding).  Makes the first table of docs/theory.md, and JSON:
+Monte Carlo; medians over systems and steps of the ratios whose error Monte Carlo resolves (more
+than 8 standard errors, and not rounding).  Makes the first table of docs/theory.md, and JSON:
 
     python -m benchmarks.bounds [--json FILE] [--docs docs/theory.md]
 """
