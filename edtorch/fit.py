@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from edtorch.models import matvec
+from edtorch.spectral import symmetric_eigen
 from edtorch.types import Parameters
 
 
@@ -202,7 +203,7 @@ class BayesianLeastSquares:
         residual = y - matvec(weight, phi)
         A, C = memory["A"] + _outer(phi, phi), memory["C"] + _outer(phi, y)
         S, count = memory["S"] + y.square(), memory["count"] + 1
-        values, vectors = torch.linalg.eigh(A)
+        values, vectors = symmetric_eigen(A)
         values = values.clamp(min=0.0)
         projected = vectors.mT @ C
         # All candidates at once: [*batch, priors, k] and [*batch, priors, n].

@@ -32,7 +32,7 @@ class Check(IntEnum):
     TRANSITION = 0
     """The next state is finite; if not, the simulator broke."""
     FIT = 1
-    """So is the model after the fit; if not, its rate is too high for these features."""
+    """So are model and noise after the fit; if not, a rate is too high for these features."""
     UNROLL = 2
     """So are value and gradient; if not, the model under this policy explodes over the horizon."""
 
@@ -112,14 +112,14 @@ class Learner:
         phi = self.model.regressor(transition)
         old = state.model["weight"]
         fitted = self.fit.update(old, state.fit, phi, target, unit)
-        fit_ok = _finite(fitted.weight, *fitted.memory.values())
-        learn = transition.valid & fit_ok
-        model = state.model | {"weight": select(learn, fitted.weight, old)}
         noise = state.noise
         if self.noise is not None:
             squared = self.model.residual_noise(fitted.residual, transition.dt)
-            moved = self.noise.update(noise, squared, phi, state.fit, unit)
-            noise = _where(learn, moved, noise)
+            noise = self.noise.update(noise, squared, phi, state.fit, unit)
+        fit_ok = _finite(fitted.weight, *fitted.memory.values(), *noise.values())
+        learn = transition.valid & fit_ok
+        model = state.model | {"weight": select(learn, fitted.weight, old)}
+        noise = _where(learn, noise, state.noise)
 
         # 3-6: value and gradient from where the transition ended; 7: the policy.
         here = self.value(model, state.policy, noise, transition.next_state)

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from edtorch.models import matvec
+from edtorch.spectral import symmetric_eigen
 from edtorch.types import Parameters
 
 
@@ -111,7 +112,7 @@ class LinearNoise:
         error = squared - self.covariance(memory, phi)
         weight = (step.unsqueeze(-1) * psi).unsqueeze(-1).unsqueeze(-1)
         moved = memory["V"] + weight * error.unsqueeze(-3)
-        values, vectors = torch.linalg.eigh(0.5 * (moved + moved.mT))
+        values, vectors = symmetric_eigen(0.5 * (moved + moved.mT))
         return {"V": (vectors * values.clamp(min=0.0).unsqueeze(-2)) @ vectors.mT}
 
     def covariance(self, memory: Parameters, phi: Tensor) -> Tensor:

@@ -9,11 +9,11 @@ import torch
 
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Identity
-from edtorch.fit import SquaredError
+from edtorch.fit import BayesianLeastSquares, Fit, RecursiveLeastSquares, SquaredError
 from edtorch.interact import Budget, Training
 from edtorch.learner import Check, Learner
 from edtorch.models import DerivativeModel
-from edtorch.noise import ResidualNoise
+from edtorch.noise import BayesianNoise, LinearNoise, Noise, ResidualNoise
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import FirstOrder, MeanOnly
@@ -131,12 +131,21 @@ def unchanged(a: LearnerState, b: LearnerState, row: int) -> bool:
         (a.model["weight"], b.model["weight"]),
         (a.policy["weight"], b.policy["weight"]),
         *((a.fit[name], b.fit[name]) for name in a.fit),
+        *((a.noise[name], b.noise[name]) for name in a.noise),
     ]
     return all(torch.equal(x[row], y[row]) for x, y in pairs)
 
 
-def test_a_broken_transition_is_skipped_and_named() -> None:
-    learner = bicycle_learner(World(Bicycle()))
+@pytest.mark.parametrize(
+    ("fit", "noise"),
+    [
+        (SquaredError(10.0), None),
+        (RecursiveLeastSquares(), BayesianNoise(1.0)),
+        (BayesianLeastSquares(), LinearNoise(1.0)),
+    ],
+)
+def test_a_broken_transition_is_skipped_and_named(fit: Fit, noise: Noise | None) -> None:
+    learner = replace(bicycle_learner(World(Bicycle()), fit=fit), noise=noise)
     state, good = bicycle_transition(learner, [0, 1, 2])
     state, metrics = learner.step(state, good)
     assert bool(metrics.finite.all())

@@ -86,10 +86,10 @@ def test_linear_noise_is_calibrated_where_noise_grows_with_a_feature() -> None:
     # In calm and in rough places alike; a constant covariance is right in neither.
     assert float(torch.stack(few).mean()) == pytest.approx(1, abs=0.25)
     assert float(torch.stack(many).mean()) == pytest.approx(1, abs=0.25)
-    weight, memory, true = learn(RecursiveLeastSquares(1e4), constant, 1500, 1, spread=True)
-    phi, y = torch.zeros(40, K).double(), torch.zeros(40, N).double()
-    assert float(constant.covariance(memory, phi)[:, 0, 0].mean()) > 2 * 0.2 * 0.09
-    assert bool((y == 0).all())
+    memory = learn(RecursiveLeastSquares(1e4), constant, 1500, 1, spread=True)[1]
+    # Where phi is zero the variance is a fifth of ROOT ROOT', which the average cannot know.
+    calm = constant.covariance(memory, torch.zeros(40, K).double())
+    assert float(calm[:, 0, 0].mean()) > 2 * 0.2 * 0.09
 
 
 @pytest.mark.oracle

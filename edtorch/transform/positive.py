@@ -7,6 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from edtorch.spectral import symmetric_eigen
+
 TOLERANCE = 1e-12
 """Eigenvalues above -TOLERANCE times the largest are rounding, not trouble."""
 
@@ -31,7 +33,7 @@ def floored(cov: Tensor) -> Floored:
     0 for a start.  Where nothing was negative beyond rounding, value and gradient are the input's.
     Rows that are not finite are handed back as they are, for the caller's checks to find.
     """
-    values, vectors = torch.linalg.eigh(torch.nan_to_num(cov.detach(), 0.0, 0.0, 0.0))
+    values, vectors = symmetric_eigen(cov.detach())
     # In float32 rounding itself is larger than TOLERANCE.
     tolerance = max(TOLERANCE, 10 * torch.finfo(cov.dtype).eps)
     began = values[..., 0] < -tolerance * values.abs().amax(-1)
