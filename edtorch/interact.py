@@ -1,4 +1,4 @@
-"""The loop between a population of learners and their worlds, and the evaluation of policies.
+"""The loop between a population of learners and their worlds.
 
 Nothing here writes or prints: whoever runs the loop asks it for snapshots and records.
 """
@@ -6,19 +6,17 @@ Nothing here writes or prints: whoever runs the loop asks it for snapshots and r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from edtorch.learner import Check, Learner
-from edtorch.policies import LinearPolicy
 from edtorch.streams import Draw, Purpose, Streams, stream_key
 from edtorch.trail import Trail
 from edtorch.types import (
     LearnerState,
     Metrics,
-    Parameters,
     Transition,
     replace,
     select,
@@ -297,60 +295,3 @@ class Training:
             error=(sums.error / sums.ticks).tolist(),
             policy_norm=torch.stack(squares).sum(0).sqrt().tolist(),
         )
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Fresh episodes of a set of policies: ``episodes[i]`` are those of policy i."""
-
-    episodes: list[list[Episode]] = field(default_factory=list)
-
-
-def evaluate(
-    policy: LinearPolicy,
-    parameters: Parameters,
-    world: World,
-    seeds: Sequence[int],
-    episodes: int,
-) -> Evaluation:
-    """Run ``episodes`` fresh episodes of each policy, without exploration and without learning.
-
-    parameters: ``[S, ...]``, one policy per seed; episode e of a seed is the same whatever else is
-    evaluated beside it.
-    """
-    keys = [stream_key(s, Purpose.EVALUATION, e) for s in seeds for e in range(episodes)]
-    streams = Streams(keys, world.uniforms, 0, world.dtype)
-    expanded = {k: p.repeat_interleave(episodes, dim=0) for k, p in parameters.items()}
-    finished: list[list[Episode]] = [[] for _ in seeds]
-    with torch.inference_mode():
-        start = state = world.initial(streams.at(0).uniform)
-        observation = world.observe(state)
-        active = torch.ones(len(keys), dtype=torch.bool)
-        clock = torch.zeros((), dtype=torch.int64)
-        while bool(active.any()):
-            clock += 1
-            draw = streams.at(int(clock))
-            action = world.clip(policy.action(expanded, observation))
-            state = select(active, world.step(state, action, draw.uniform), state)
-            observation = world.observe(state)
-            outcome = world.outcome(state, clock)
-            ended = active & (outcome != int(Outcome.RUNNING))
-            if bool(ended.any()):
-                seconds = (clock.to(torch.float64) * world.dt).expand(len(keys))
-                measures = world.sim.measures(start, state, seconds)
-                for index in ended.nonzero().flatten().tolist():
-                    row, number = divmod(index, episodes)
-                    finished[row].append(
-                        Episode(
-                            row=row,
-                            number=number,
-                            start=0.0,
-                            seconds=float(seconds[index]),
-                            outcome=Outcome(int(outcome[index])),
-                            measures={k: float(m[index]) for k, m in measures.items()},
-                        )
-                    )
-                active = active & ~ended
-    for row in finished:
-        row.sort(key=lambda e: e.number)
-    return Evaluation(finished)

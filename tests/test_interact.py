@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from edtorch.dispatch import choose_path
+from edtorch.evaluation import evaluate
 from edtorch.features import Identity
 from edtorch.fit import AbsoluteError, Fit, RecursiveLeastSquares, SquaredError
-from edtorch.interact import Budget, Training, evaluate
+from edtorch.interact import Budget, Training
 from edtorch.learner import Learner
 from edtorch.noise import ResidualNoise
 from edtorch.policies import LinearPolicy
@@ -177,29 +178,6 @@ def test_the_learner_learns_to_ride() -> None:
     assert all(60 - float(b) * 0.01 > 25 for b in training.worlds.begun)
     sim = Bicycle(time_limit=20.0)
     policy, parameters = training.learner.policy, training.learners.policy
-    fresh = evaluate(policy, parameters, World(sim), [0, 1], 20).episodes
+    fresh = evaluate(policy, parameters, World(sim), [0, 1], 20)
     ridden = [e for own in fresh for e in own if e.outcome is Outcome.TIMED_OUT]
     assert len(ridden) >= 36
-
-
-def test_evaluation_is_fresh_reproducible_and_independent_of_its_company() -> None:
-    training = run(bicycle_training([0, 1], Budget(seconds=1.0)))
-    policy, parameters = training.learner.policy, training.learners.policy
-
-    def lengths(seeds: list[int], episodes: int) -> list[list[float]]:
-        rows = {name: p[seeds] for name, p in parameters.items()}
-        world = World(Bicycle())
-        result = evaluate(policy, rows, world, seeds, episodes)
-        assert [len(own) for own in result.episodes] == [episodes] * len(seeds)
-        return [[e.seconds for e in own] for own in result.episodes]
-
-    both = lengths([0, 1], 6)
-    assert lengths([1], 6) == [both[1]]
-    assert [own[:3] for own in both] == lengths([0, 1], 3)
-    assert len(set(both[0])) > 1
-
-
-def test_no_evaluation_at_all() -> None:
-    training = bicycle_training([0, 1], Budget(seconds=1.0))
-    policy, parameters = training.learner.policy, training.learners.policy
-    assert evaluate(policy, parameters, World(Bicycle()), [0, 1], 0).episodes == [[], []]

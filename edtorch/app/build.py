@@ -230,6 +230,11 @@ def build(config: DictConfig) -> Setup:
             f"unroll.path={config.unroll.path}: expected one of {', '.join(get_args(Wish))}"
         )
     at_least("unroll.start_deviation", config.unroll.start_deviation, 0)
+    if config.unroll.start_deviation > 0 and not transform.propagates_covariance:
+        raise ConfigError(
+            f"unroll.start_deviation={config.unroll.start_deviation}: expected 0 with this "
+            "transform, which leaves the covariance out; transform=first takes it in"
+        )
     start_cov = config.unroll.start_deviation**2 * torch.eye(model.states, dtype=dtype)
     try:
         choice = choose_path(

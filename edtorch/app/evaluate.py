@@ -22,7 +22,8 @@ from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing, u
 from edtorch.app.rundir import CONFIG, POLICY, command_line, json_text, load_config, versions
 from edtorch.app.signals import Stop
 from edtorch.checkpoint import FileProblem, load_policy, write_text
-from edtorch.interact import Episode, evaluate
+from edtorch.evaluation import evaluate
+from edtorch.interact import Episode
 from edtorch.report.statistics import evaluation_figures
 from edtorch.world import World
 
@@ -95,7 +96,7 @@ def _evaluate(config: DictConfig) -> float:
     parameters = load_policy(path, policy_card(sim, policy, seeds), shapes)
 
     began = time.monotonic()
-    episodes = evaluate(policy, parameters, world, seeds, config.episodes).episodes
+    episodes = evaluate(policy, parameters, world, seeds, config.episodes)
     result = {
         "run": str(folder),
         "policy": str(path),

@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from edtorch.app import schemas
-from edtorch.app.build import Setup, build
+from edtorch.app.build import Setup, build, build_sim
 from edtorch.app.errors import guarded, refusing
 from edtorch.app.folders import remove_empty
 from edtorch.app.pictures import draw
@@ -35,9 +35,11 @@ from edtorch.app.summary import (
     summary_table,
 )
 from edtorch.checkpoint import save_policy, save_training, write_text
-from edtorch.interact import Training, evaluate
+from edtorch.evaluation import evaluate
+from edtorch.interact import Training
 from edtorch.log import ConsoleSink, CsvSink, Sink, StderrHandler, TensorBoardSink
 from edtorch.trouble import CovarianceFloored
+from edtorch.world import World
 
 logger = logging.getLogger("edtorch")
 
@@ -180,9 +182,9 @@ def _train(job: _Job) -> dict[str, Any]:
             if episodes:
                 console.print(f"{episodes} fresh episodes for each policy...")
                 # A world of its own: one that wraps a simulator is still in its last episode.
-                world = build(config).world
+                world = World(build_sim(config.domain), setup.world.dtype)
                 policy, parameters = setup.learner.policy, training.learners.policy
-                evaluated = evaluate(policy, parameters, world, setup.seeds, episodes).episodes
+                evaluated = evaluate(policy, parameters, world, setup.seeds, episodes)
         with _timed(timing, "figures_s"):
             if config.log.figures:
                 figure = draw(training, job.path, animate=config.log.animation)

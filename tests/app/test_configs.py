@@ -17,7 +17,8 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 import conf
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
-from edtorch.interact import Budget, Training, evaluate
+from edtorch.evaluation import evaluate
+from edtorch.interact import Budget, Training
 from edtorch.learner import Learner
 from edtorch.unroll import Horizon
 from sims.base import Outcome
@@ -149,7 +150,7 @@ def test_direct_schema(schema: type, constructor: Any, handed_in: set[str]) -> N
 
 def _first_falls(setup: Setup) -> list[float]:
     zero = setup.learner.initial(setup.seeds).policy
-    evaluated = evaluate(setup.learner.policy, zero, setup.world, setup.seeds, 5).episodes
+    evaluated = evaluate(setup.learner.policy, zero, setup.world, setup.seeds, 5)
     assert all(e.outcome is Outcome.FAILED for own in evaluated for e in own)
     return [e.seconds for own in evaluated for e in own]
 

@@ -51,6 +51,7 @@ REFUSED = [
         r"unroll\.path=closed_form: .*the noise is neither constant",
     ),
     (["transform=first", "noise=bayesian"], r"noise\._target_=.*fit=least_squares"),
+    (["unroll.start_deviation=0.1"], r"unroll\.start_deviation=0\.1: expected 0 with this tr"),
     (
         ["unroll.start_deviation=-1"],
         r"unroll\.start_deviation=-1\.0: expected a finite number >= 0",
