@@ -112,15 +112,17 @@ class Robot:
     def advance(self, torques: Sequence[float], steps: int) -> None:
         """``steps`` physics steps with ``torques`` ``[5]`` on the arm, N m, and the balance."""
         bullet, client, base = self._bullet, self._client, self._joints[5:]
+        forces = [*torques, 0.0, 0.0]
         for _ in range(steps):
             tilt, slide = bullet.getJointStates(self._body, base, physicsClientId=client)
             wheel = self.wheel_torque(slide[0], tilt[0], slide[1], tilt[1])
+            forces[5:] = -wheel, wheel / WHEEL_RADIUS
             # PyBullet forgets the torques after each step.
             bullet.setJointMotorControlArray(
                 self._body,
                 self._joints,
                 bullet.TORQUE_CONTROL,
-                forces=[*torques, -wheel, wheel / WHEEL_RADIUS],
+                forces=forces,
                 physicsClientId=client,
             )
             bullet.stepSimulation(physicsClientId=client)
@@ -130,6 +132,13 @@ class Robot:
         k = self._gains
         wheel = k[0] * x + k[1] * tilt + k[2] * dx + k[3] * dtilt
         return min(max(wheel, -WHEEL_LIMIT), WHEEL_LIMIT)
+
+    def step(self, state: Sequence[float], torques: Sequence[float], steps: int) -> list[float]:
+        """The state after ``steps`` physics steps, and 1 if the arm touches then, else 0, ``[15]``;
+        a function of its arguments alone."""
+        self.put(state)
+        self.advance(torques, steps)
+        return [*self.read(), float(self.touching())]
 
     def touching(self, margin: float = 0.0) -> bool:
         """Whether two links that must not touch are within ``margin``, m, of one another."""
