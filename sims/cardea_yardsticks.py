@@ -17,10 +17,11 @@ from sims.cardea import Cardea
 STIFFNESS, DAMPING = 50.0, 14.0
 """Of computed torque: acceleration wanted for each rad of error and rad/s, critically damped."""
 
-PD_STIFFNESS = (40.0, 40.0, 20.0, 3.0, 1.5)
-"""Of the PD controllers, N m/rad: all the torque there is at 1 rad of error."""
-PD_DAMPING = (6.0, 6.0, 3.0, 0.35, 0.06)
-"""N m s/rad."""
+PD_STIFFNESS = (20.0, 30.0, 15.0, 3.0, 1.0)
+"""Of the PD controllers, N m/rad."""
+PD_DAMPING = (2.0, 3.0, 1.2, 0.2, 0.04)
+"""N m s/rad: more makes the arm, when it stands upright and its yaw inertia is tiny, swing up
+between two control steps."""
 
 
 def _parts(cardea: Cardea, state: Tensor) -> tuple[Tensor, Tensor]:
