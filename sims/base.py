@@ -10,10 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from sims.kinematics import Chain
 
 
 class Outcome(IntEnum):
@@ -149,6 +152,15 @@ class Invertible(Protocol):
     def inverse_dynamics(self, state: Tensor, acceleration: Tensor) -> Tensor:
         """The action ``[*batch, m]`` that gives the components ``spec.tracked`` the second
         derivatives ``acceleration`` ``[*batch, len(tracked)]`` in ``state``, not clipped."""
+        ...
+
+
+@runtime_checkable
+class Jointed(Protocol):
+    """A sim whose components ``spec.tracked`` are the joints of a chain: an arm."""
+
+    def chain(self) -> Chain:
+        """The chain, for forward and inverse kinematics."""
         ...
 
 

@@ -19,7 +19,8 @@ from torch import Tensor
 
 from sims.base import Outcome, Quantity, Spec
 from sims.cardea_arm import HIGH, LOW, level_angles, level_poses, slant, wrist
-from sims.cardea_physics import COORDINATES, JOINTS, Robot, pybullet
+from sims.cardea_physics import JOINTS, URDF, Robot, pybullet
+from sims.kinematics import Chain
 
 __all__ = ["LIMITS", "STOPS", "Cardea", "Trouble", "slant", "wrist"]
 
@@ -88,13 +89,13 @@ class Cardea:
 
     Start: base upright and still at 0; joints at rest, uniform within ``cardea_arm.LOW`` and
     ``HIGH``, drawn again until the pose has ``clearance``.  Goal: a wrist position, uniform within
-    x .12 to .55 m, \\|z\\| <= .45 m and .55 m from the shoulder, with a level hand, drawn again until
+    x .12 to .55 m, |z| <= .45 m and .55 m from the shoulder, with a level hand, drawn again until
     joint angles within the ranges do it with ``clearance``.  The two uniform numbers of a restart
     are the seeds, one of the start, one of the goal.
 
-    End: FAILED when the arm touches the robot (looked for at the end of each step), a joint is past
-    its stop, \\|tilt\\| > ``max_tilt``, or a torque is not finite.  After ``time_limit``: SUCCEEDED if
-    the mean of \\|q - g\\| is below ``reached_error`` and that of the joints' speeds below
+    End: FAILED when the arm touches the robot (looked for at the end of each step), a joint is
+    past its stop, |tilt| > ``max_tilt``, or a torque is not finite.  After ``time_limit``:
+    SUCCEEDED if the mean of |q - g| is below ``reached_error`` and that of the joints' speeds below
     ``reached_speed``, else TIMED_OUT.  A row that has ended stays as it is until it is restarted.
 
     Disturbance: Gaussian, on each torque, with a standard deviation of ``torque_noise`` times its
@@ -106,9 +107,10 @@ class Cardea:
 
     Arguments: ``dt``, ``physics_dt``: s per step and per physics step, a divisor of it;
     ``time_limit`` in s; ``torque_noise``: share of the limits; ``start``: joint angles in rad to
-    start from, ``goal``: wrist position in m to go to, from the shoulder, in the body's frame (None:
-    drawn); ``clearance`` in m; ``max_tilt`` in rad; ``reached_error`` in rad; ``reached_speed`` in
-    rad/s; ``state_scale``, ``action_scale``: divisors by name where others are wanted.
+    start from, ``goal``: wrist position in m to go to, from the shoulder, in the body's frame
+    (None: drawn); ``clearance`` in m; ``max_tilt`` in rad; ``reached_error`` in rad;
+    ``reached_speed`` in rad/s; ``state_scale``, ``action_scale``: divisors by name where others are
+    wanted.
     """
 
     dt: float = 0.02
@@ -247,9 +249,9 @@ class Cardea:
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Figures of finished episodes at their end, each ``[*batch]``.
 
-        joint_error_rad: mean over the joints of \\|q - g\\|.  joint_speed_rad_s: mean over the joints
-        of \\|dq\\|.  wrist_error_cm: distance of the wrist from where the goal has it, and
-        level_error_deg: angle of the hand from level, both in the body's frame.
+        joint_error_rad, joint_speed_rad_s: means over the joints of |q - g| and |dq|.
+        wrist_error_cm: distance of the wrist from where the goal has it, and level_error_deg: angle
+        of the hand from level, both in the body's frame.
         """
         q, goal = final[..., _Q], final[..., _GOAL]
         return {
@@ -268,6 +270,10 @@ class Cardea:
             self._robot.inverse_dynamics(row, a) for row, a in zip(rows, wanted, strict=True)
         ]
         return torch.from_numpy(np.stack(torques)).reshape(acceleration.shape)
+
+    def chain(self) -> Chain:
+        """The arm's joints, from the body to the hand, whose origin is the wrist's centre."""
+        return Chain(URDF, "body", "hand", low=LOW, high=HIGH)
 
     def frame(self, trail: Tensor) -> np.ndarray:
         """RGB picture (uint8 ``[240, 320, 3]``) of the robot in the last state of ``trail``
@@ -315,7 +321,9 @@ class Cardea:
 
     def _check_start(self, angles: np.ndarray) -> None:
         if not bool((np.abs(angles) <= STOPS).all()):
-            raise ValueError(f"start={_text(angles)} rad: expected angles within the stops, {STOPS}")
+            raise ValueError(
+                f"start={_text(angles)} rad: expected angles within the stops, {STOPS}"
+            )
         if not self._robot.clear(angles.tolist(), 0.0):
             raise ValueError(
                 f"start={_text(angles)} rad: expected a pose in which the arm touches nothing"

@@ -1,4 +1,4 @@
-"""The geometry of Cardea's arm by plain trigonometry: where the wrist is, how to get it there level.
+"""The geometry of Cardea's arm by plain trigonometry: where its wrist is, how to get it there.
 
 Positions are those of the wrist's centre, in m from the shoulder, in the frame of the body: x
 forward, y left, z up.  Angles, rad: shoulder yaw, shoulder pitch, elbow, wrist pitch, wrist roll; a
@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 
 UPPER_ARM, FOREARM = 0.30, 0.28
 """Lengths from shoulder to elbow and from elbow to wrist, m."""
+
+SHOULDER = (0.17, 0.0, 0.91)
+"""Where the shoulder is in the body's frame, whose origin is the axle, m."""
 
 LOW = (-1.2, -1.0, -2.2, -1.8, -1.5)
 HIGH = (1.2, 1.3, 0.2, 1.8, 1.5)

@@ -84,9 +84,7 @@ class Robot:
             for k in everything:
                 bullet.setCollisionFilterPair(self._body, self._body, j, k, 0, **at)
         for j in self._joints:
-            bullet.changeDynamics(
-                self._body, j, jointLowerLimit=-1e6, jointUpperLimit=1e6, **at
-            )
+            bullet.changeDynamics(self._body, j, jointLowerLimit=-1e6, jointUpperLimit=1e6, **at)
             # A motor that holds the joint is on by default.
             bullet.setJointMotorControl2(self._body, j, bullet.VELOCITY_CONTROL, force=0, **at)
 

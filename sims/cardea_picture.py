@@ -8,12 +8,11 @@ from functools import lru_cache
 import numpy as np
 from torch import Tensor
 
-from sims.cardea_arm import wrist
-from sims.cardea_physics import Robot
+from sims.cardea_arm import SHOULDER, wrist
+from sims.cardea_physics import WHEEL_RADIUS, Robot
 
 WIDTH, HEIGHT = 320, 240
 _FLOOR, _BALL = (0.86, 0.87, 0.89, 1.0), (0.85, 0.10, 0.12, 1.0)
-_SHOULDER = (0.17, 0.0, 0.91)
 
 
 class _Studio(Robot):
@@ -25,9 +24,7 @@ class _Studio(Robot):
         floor = bullet.createVisualShape(
             bullet.GEOM_BOX, halfExtents=[3, 3, 0.01], rgbaColor=_FLOOR, **at
         )
-        bullet.createMultiBody(
-            baseVisualShapeIndex=floor, basePosition=[0, 0, -0.01], **at
-        )
+        bullet.createMultiBody(baseVisualShapeIndex=floor, basePosition=[0, 0, -0.01], **at)
         ball = bullet.createVisualShape(bullet.GEOM_SPHERE, radius=0.04, rgbaColor=_BALL, **at)
         self._ball = bullet.createMultiBody(baseVisualShapeIndex=ball, **at)
         self._projection = bullet.computeProjectionMatrixFOV(40, WIDTH / HEIGHT, 0.1, 10)
@@ -38,11 +35,11 @@ class _Studio(Robot):
         bullet, at = self._bullet, {"physicsClientId": self._client}
         self.put(state)
         tilt, x = state[5], state[6]
-        forward, side, up = goal + _SHOULDER
+        forward, side, up = goal + SHOULDER
         place = [
             x + forward * np.cos(tilt) + up * np.sin(tilt),
             side,
-            0.24 - forward * np.sin(tilt) + up * np.cos(tilt),
+            WHEEL_RADIUS - forward * np.sin(tilt) + up * np.cos(tilt),
         ]
         bullet.resetBasePositionAndOrientation(self._ball, place, [0, 0, 0, 1], **at)
         view = bullet.computeViewMatrix([x + 1.7, -1.9, 1.55], [x + 0.2, 0, 0.82], [0, 0, 1])

@@ -63,6 +63,25 @@ class BicycleConfig:
 
 
 @dataclass
+class CardeaConfig:
+    """An arm on a self-balancing base; see ``sims.cardea.Cardea``."""
+
+    _target_: str = "sims.cardea.Cardea"
+    dt: float = 0.02
+    physics_dt: float = 0.004
+    time_limit: float = 2.0
+    torque_noise: float = 0.02
+    start: list[float] | None = None
+    goal: list[float] | None = None
+    clearance: float = 0.03
+    max_tilt: float = 0.5
+    reached_error: float = 0.1
+    reached_speed: float = 0.2
+    state_scale: dict[str, float] = field(default_factory=dict)
+    action_scale: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
 class LinearSystemConfig:
     """A linear system with noise; see ``sims.linear.LinearSystem``."""
 
@@ -292,6 +311,7 @@ SCALARS = frozenset(f.name for f in fields(TrainConfig) if f.type in ("int", "bo
 SCHEMAS: dict[str, dict[str, type]] = {
     "domain": {
         "bicycle_schema": BicycleConfig,
+        "cardea_schema": CardeaConfig,
         "linear_schema": LinearSystemConfig,
         "gymnasium_schema": GymnasiumConfig,
     },
