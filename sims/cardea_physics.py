@@ -45,7 +45,7 @@ def pybullet() -> ModuleType:
     if importlib.util.find_spec("pybullet") is None:
         raise ModuleNotFoundError(
             "the Cardea domain needs PyBullet, which is not installed; expected:"
-            " pip install 'edtorch[cardea]'"
+            " pip install -c constraints.txt -e '.[cardea]'"
         )
     return importlib.import_module("pybullet")
 

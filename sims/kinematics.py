@@ -27,7 +27,7 @@ def pytorch_kinematics() -> ModuleType:
     if importlib.util.find_spec("pytorch_kinematics") is None:
         raise ModuleNotFoundError(
             "sims.kinematics needs pytorch-kinematics, which is not installed; expected:"
-            " pip install 'edtorch[cardea]'"
+            " pip install -c constraints.txt -e '.[cardea]'"
         )
     return importlib.import_module("pytorch_kinematics")
 
@@ -71,7 +71,7 @@ class Chain:
         text = Path(urdf).read_text(encoding="utf-8")
         try:
             chain = pk.build_serial_chain_from_urdf(text, end_link_name=end, root_link_name=root)
-        except ValueError as error:
+        except (KeyError, ValueError) as error:
             raise ValueError(f"root={root!r}, end={end!r}: expected links of {urdf}") from error
         self._chain = chain.to(dtype=torch.float64)
         self.joints: tuple[str, ...] = tuple(chain.get_joint_parameter_names())

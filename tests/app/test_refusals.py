@@ -68,7 +68,7 @@ REFUSED = [
     (["log.checkpoint=1"], r"log\.checkpoint=1: expected an integer >= 5"),
     (["compute.threads=0"], r"compute\.threads=0: expected an integer >= 1"),
     (["compute.precision=float16"], r"compute\.precision=float16: expected one of float64, float"),
-    (["domain=foo"], r"domain=foo: expected one of bicycle, gymnasium, linear$"),
+    (["domain=foo"], r"domain=foo: expected one of bicycle, cardea, gymnasium, linear$"),
     (["experiment=foo"], r"experiment=foo: expected one of bicycle, bicycle_paper"),
     (["model.features=foo"], r"model\.features=foo: expected one of identity, affine"),
     ([f"model.features={THREE}"], r"model\.features\.inputs=3: expected 7"),
