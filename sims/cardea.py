@@ -11,33 +11,30 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from sims.base import Outcome, Quantity, Spec
-from sims.cardea_arm import HIGH, LOW, level_angles, level_poses, slant, wrist
-from sims.cardea_physics import JOINTS, URDF, Robot, pybullet
+from sims.cardea_arm import HIGH, LOW, slant, wrist
+from sims.cardea_physics import JOINTS, URDF, Robot, Step, pybullet, robot, step_rows
+from sims.cardea_poses import STOPS, check_start, draw_goal, draw_start, goal_angles
 from sims.kinematics import Chain
+from sims.workers import Workers
 
 __all__ = ["LIMITS", "STOPS", "Cardea", "Trouble", "slant", "wrist"]
 
 LIMITS = (40.0, 40.0, 20.0, 3.0, 1.5)
 """Greatest torque of each joint of the arm, N m (estimates)."""
 
-STOPS = (2.4, 2.4, 2.7, 2.4, 2.8)
-"""Where each joint stops, either way, rad (estimates)."""
-
-_BOX = ((0.12, -0.55, -0.45), (0.55, 0.55, 0.45))
-_REACH = 0.55
-"""Wrist positions that goals are drawn from, m: within the box and this far from the shoulder."""
+_LIMITS = torch.tensor(LIMITS, dtype=torch.float64)
+_STOPS = torch.tensor(STOPS, dtype=torch.float64)
 
 _Q, _DQ, _GOAL = slice(0, 5), slice(7, 12), slice(14, 19)
 _TILT = 5
 _SEEN, _APPLIED, _CLOCK, _TROUBLE = 19, slice(19, 24), 24, 25
-_TRIES = 10_000
 
 # Divisors that bring the components to order one; they are also what the policy gradient of the
 # paper's section 5 wants: base and rates matter less than joint errors.
@@ -109,8 +106,9 @@ class Cardea:
     ``time_limit`` in s; ``torque_noise``: share of the limits; ``start``: joint angles in rad to
     start from, ``goal``: wrist position in m to go to, from the shoulder, in the body's frame
     (None: drawn); ``clearance`` in m; ``max_tilt`` in rad; ``reached_error`` in rad;
-    ``reached_speed`` in rad/s; ``state_scale``, ``action_scale``: divisors by name where others are
-    wanted.
+    ``reached_speed`` in rad/s; ``workers``: processes that share the rows of a step, with the same
+    digits (0: none, the fastest below some fifty rows); ``state_scale``,
+    ``action_scale``: divisors by name where others are wanted.
     """
 
     dt: float = 0.02
@@ -123,6 +121,7 @@ class Cardea:
     max_tilt: float = 0.5
     reached_error: float = 0.1
     reached_speed: float = 0.2
+    workers: int = 0
     state_scale: Mapping[str, float] = field(default_factory=dict, hash=False)
     action_scale: Mapping[str, float] = field(default_factory=dict, hash=False)
 
@@ -133,6 +132,8 @@ class Cardea:
             _expect(name, getattr(self, name), "a finite number above 0", lambda x: x > 0)
         for name in ("torque_noise", "clearance", "reached_error", "reached_speed"):
             _expect(name, getattr(self, name), "a finite number, 0 or more", lambda x: x >= 0)
+        if not isinstance(self.workers, int) or isinstance(self.workers, bool) or self.workers < 0:
+            raise ValueError(f"workers={self.workers!r}: expected a whole number, 0 or more")
         if not math.isclose(self.dt / self.physics_dt, self._substeps, rel_tol=1e-9):
             raise ValueError(
                 f"physics_dt={self.physics_dt}: expected a whole fraction of dt, {self.dt} s"
@@ -148,9 +149,9 @@ class Cardea:
                     raise ValueError(f"{argument}={name!r}: expected names of {', '.join(known)}")
                 _expect(f"{argument}.{name}", value, "a finite number above 0", lambda x: x > 0)
         if self.start is not None:
-            self._check_start(_numbers("start", self.start, 5))
+            check_start(self._robot, self.start)
         if self.goal is not None:
-            self._goal_angles(_numbers("goal", self.goal, 3))
+            goal_angles(self._robot, self.goal, self.clearance)
 
     @property
     def spec(self) -> Spec:
@@ -184,7 +185,7 @@ class Cardea:
     def initial(self, uniforms: Tensor) -> Tensor:
         """Start states ``[*batch, 26]``; uniforms ``[*batch, 2]`` seed start and goal."""
         seeds = uniforms.reshape(-1, 2).tolist()
-        rows = [[*self._draw_start(a), *self._draw_goal(b)] for a, b in seeds]
+        rows = [[*self._start_angles(a), *self._goal_angles(b)] for a, b in seeds]
         angles = torch.tensor(rows, dtype=torch.float64).reshape(*uniforms.shape[:-1], 10)
         return self.at_rest(angles[..., :5], angles[..., 5:])
 
@@ -204,10 +205,9 @@ class Cardea:
 
     def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
         """The state ``dt`` later; action ``[*batch, 5]`` in N m; uniforms ``[*batch, 5]``."""
-        limits = torch.tensor(LIMITS, dtype=torch.float64)
         # The least uniform number, 0, would be noise without bound.
-        noise = torch.special.ndtri(uniforms.clamp(min=2.0**-54)) * (self.torque_noise * limits)
-        torque = torch.minimum(torch.maximum(action + noise, -limits), limits)
+        noise = torch.special.ndtri(uniforms.clamp(min=2.0**-54)) * (self.torque_noise * _LIMITS)
+        torque = torch.minimum(torch.maximum(action + noise, -_LIMITS), _LIMITS)
         new = state.reshape(-1, 26).clone()
         torques = torque.reshape(-1, 5)
         going = self.outcome(new) == int(Outcome.RUNNING)
@@ -217,7 +217,7 @@ class Cardea:
             new[k, _TROUBLE] = int(Trouble.TORQUE)
         rows = (going & usable).nonzero()[:, 0]
         if len(rows):
-            moved = self._move(new[rows, :14].tolist(), torques[rows].tolist())
+            moved = self._move(rows.tolist(), new[rows, :14].tolist(), torques[rows].tolist())
             new[rows, :14], new[rows, _TROUBLE] = moved[:, :14], moved[:, 14]
             new[rows, _APPLIED] = torques[rows]
         new[going, _CLOCK] += self.dt
@@ -233,9 +233,8 @@ class Cardea:
 
     def outcome(self, state: Tensor) -> Tensor:
         """``Outcome`` of each row as int64 ``[*batch]``, the time limit included."""
-        stops = torch.tensor(STOPS, dtype=state.dtype)
         # Written so that a comparison with NaN counts as failure.
-        sound = (state[..., _Q].abs() <= stops).all(-1)
+        sound = (state[..., _Q].abs() <= _STOPS).all(-1)
         sound &= (state[..., _TILT].abs() <= self.max_tilt) & (state[..., _TROUBLE] == 0)
         sound &= state.isfinite().all(-1)
         reached = (_joint_error(state) < self.reached_error) & (
@@ -251,15 +250,19 @@ class Cardea:
 
         joint_error_rad, joint_speed_rad_s: means over the joints of |q - g| and |dq|.
         wrist_error_cm: distance of the wrist from where the goal has it, and level_error_deg: angle
-        of the hand from level, both in the body's frame.
+        of the hand from level, both in the body's frame.  lost, where there are workers: 1 for an
+        episode that ended because its processes died.
         """
         q, goal = final[..., _Q], final[..., _GOAL]
-        return {
+        measures = {
             "joint_error_rad": _joint_error(final),
             "joint_speed_rad_s": _joint_speed(final),
             "wrist_error_cm": 100 * (wrist(q) - wrist(goal)).square().sum(-1).sqrt(),
             "level_error_deg": slant(q).rad2deg(),
         }
+        if self.workers:
+            measures["lost"] = (final[..., _TROUBLE] == int(Trouble.LOST)).to(final.dtype)
+        return measures
 
     def inverse_dynamics(self, state: Tensor, acceleration: Tensor) -> Tensor:
         """Torques ``[*batch, 5]``, N m, that give the joints ``acceleration`` ``[*batch, 5]``,
@@ -288,79 +291,49 @@ class Cardea:
 
     @property
     def _robot(self) -> Robot:
-        return _robot(self.physics_dt)
+        return robot(self.physics_dt)
 
-    def _move(self, states: list[list[float]], torques: list[list[float]]) -> Tensor:
-        """The next states ``[N, 14]``, with the ``Trouble`` of each as a fifteenth column."""
-        robot, substeps = self._robot, self._substeps
-        rows = [robot.step(s, u, substeps) for s, u in zip(states, torques, strict=True)]
-        return torch.tensor(rows, dtype=torch.float64)
+    def _move(
+        self, numbers: list[int], states: list[list[float]], torques: list[list[float]]
+    ) -> Tensor:
+        """The next states ``[N, 14]`` of the rows ``numbers``, with the ``Trouble`` of each as a
+        fifteenth column."""
+        dt, substeps = self.physics_dt, self._substeps
+        rows: list[Step] = [(dt, substeps, *row) for row in zip(states, torques, strict=True)]
+        if self.workers == 0:
+            return torch.tensor(step_rows(rows), dtype=torch.float64)
+        moved = []
+        results = workers(self.workers).map(rows)
+        for number, state, result in zip(numbers, states, results, strict=True):
+            if result is None:
+                text = "two processes died of its step: its episode ends as a failure"
+                self._warn(number, text)
+                result = [*state, float(Trouble.LOST)]
+            moved.append(result)
+        return torch.tensor(moved, dtype=torch.float64)
 
-    def _draw_start(self, uniform: float) -> Sequence[float]:
+    def _start_angles(self, uniform: float) -> Sequence[float]:
         if self.start is not None:
             return self.start
-        generator = _generator(uniform)
-        for _ in range(_TRIES):
-            angles = generator.uniform(LOW, HIGH).tolist()
-            if self._robot.clear(angles, self.clearance):
-                return angles
-        raise ValueError(f"clearance={self.clearance}: expected one that a start pose can have")
+        return draw_start(self._robot, uniform, self.clearance)
 
-    def _draw_goal(self, uniform: float) -> Sequence[float]:
+    def _goal_angles(self, uniform: float) -> Sequence[float]:
         if self.goal is not None:
-            return self._goal_angles(np.asarray(self.goal, dtype=np.float64))
-        generator = _generator(uniform)
-        for _ in range(_TRIES):
-            position = generator.uniform(*_BOX)
-            if float(position @ position) > _REACH**2:
-                continue
-            angles = level_angles(position)
-            if angles is not None and self._robot.clear(angles.tolist(), self.clearance):
-                return angles.tolist()
-        raise ValueError(f"clearance={self.clearance}: expected one that a goal pose can have")
-
-    def _check_start(self, angles: np.ndarray) -> None:
-        if not bool((np.abs(angles) <= STOPS).all()):
-            raise ValueError(
-                f"start={_text(angles)} rad: expected angles within the stops, {STOPS}"
-            )
-        if not self._robot.clear(angles.tolist(), 0.0):
-            raise ValueError(
-                f"start={_text(angles)} rad: expected a pose in which the arm touches nothing"
-            )
-
-    def _goal_angles(self, position: np.ndarray) -> Sequence[float]:
-        """The joint angles of a goal; ValueError with the nearest reachable one."""
-        angles = level_angles(position)
-        if angles is not None and self._robot.clear(angles.tolist(), self.clearance):
-            return angles.tolist()
-        poses, positions = level_poses(41)
-        order = np.argsort(np.linalg.norm(positions - position, axis=1))
-        nearest = next(k for k in order if self._robot.clear(poses[k].tolist(), self.clearance))
-        raise ValueError(
-            f"goal={_text(position)} m: expected a wrist position, from the shoulder, that the arm"
-            f" reaches with a level hand and {self.clearance} m clearance; about the nearest is"
-            f" {_text(positions[nearest])}"
-        )
+            return goal_angles(self._robot, self.goal, self.clearance)
+        return draw_goal(self._robot, uniform, self.clearance)
 
     def _warn(self, row: int, what: str) -> None:
         warnings.warn(f"cardea: row {row}: {what}", RuntimeWarning, stacklevel=3)
 
 
-_robots: dict[tuple[int, float], Robot] = {}
+def workers(count: int) -> Workers[Step, list[float]]:
+    """The ``count`` processes that all the sims of this one share."""
+    return _workers_of(count, os.getpid())
 
 
-def _robot(physics_dt: float) -> Robot:
-    """This process's robot: a world holds nothing between calls, so one serves every sim."""
-    # A forked process must not use its parent's world.
-    key = (os.getpid(), physics_dt)
-    if key not in _robots:
-        _robots[key] = Robot(physics_dt)
-    return _robots[key]
-
-
-def _generator(uniform: float) -> np.random.Generator:
-    return np.random.default_rng(int(uniform * 2**53))
+@lru_cache
+def _workers_of(count: int, process: int) -> Workers[Step, list[float]]:
+    return Workers(step_rows, count)
 
 
 def _joint_error(state: Tensor) -> Tensor:
@@ -369,20 +342,6 @@ def _joint_error(state: Tensor) -> Tensor:
 
 def _joint_speed(state: Tensor) -> Tensor:
     return state[..., _DQ].abs().mean(-1)
-
-
-def _numbers(name: str, given: Sequence[float], count: int) -> np.ndarray:
-    try:
-        numbers = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if numbers.shape != (count,) or not bool(np.isfinite(numbers).all()):
-        raise ValueError(f"{name}={given}: expected {count} finite numbers")
-    return numbers
-
-
-def _text(numbers: np.ndarray) -> str:
-    return "(" + ", ".join(f"{value:.3g}" for value in numbers) + ")"
 
 
 def _expect(name: str, value: float, expected: str, holds: Callable[[float], bool]) -> None:

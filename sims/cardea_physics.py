@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -48,6 +49,26 @@ def pybullet() -> ModuleType:
             " pip install -c constraints.txt -e '.[cardea]'"
         )
     return importlib.import_module("pybullet")
+
+
+Step = tuple[float, int, list[float], list[float]]
+"""s per physics step, how many of them, a state, torques: the arguments of ``step_rows``."""
+
+_robots: dict[tuple[int, float], Robot] = {}
+
+
+def robot(physics_dt: float) -> Robot:
+    """This process's robot: nothing is left in it between two calls, so one serves everybody."""
+    # A forked process must not use its parent's world.
+    key = (os.getpid(), physics_dt)
+    if key not in _robots:
+        _robots[key] = Robot(physics_dt)
+    return _robots[key]
+
+
+def step_rows(rows: list[Step]) -> list[list[float]]:
+    """``Robot.step`` of each row."""
+    return [robot(dt).step(state, torques, steps) for dt, steps, state, torques in rows]
 
 
 class Robot:

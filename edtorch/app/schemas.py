@@ -77,6 +77,7 @@ class CardeaConfig:
     max_tilt: float = 0.5
     reached_error: float = 0.1
     reached_speed: float = 0.2
+    workers: int = 0
     state_scale: dict[str, float] = field(default_factory=dict)
     action_scale: dict[str, float] = field(default_factory=dict)
 

@@ -270,6 +270,8 @@ def test_start_and_goal_by_hand() -> None:
         ({"start": (2.3, 0.0, 0.0, 0.0, 0.0)}, "start=.* the arm touches nothing"),
         ({"start": (0.0, 3.0, 0.0, 0.0, 0.0)}, "start=.* within the stops"),
         ({"start": ("a", 0.0, 0.0, 0.0, 0.0)}, "start=.* expected 5 finite numbers"),
+        ({"goal": (0.4, 0.0, 0.0), "clearance": 5.0}, "clearance=5.0 m: expected"),
+        ({"workers": -1}, "workers=-1: expected"),
         ({"dt": 0.0}, "dt=0.0: expected"),
         ({"physics_dt": 0.003}, "physics_dt=0.003: expected a whole fraction of dt, 0.02 s"),
         ({"time_limit": 0.001}, "dt=0.02 s: expected at most time_limit"),

@@ -18,6 +18,8 @@ from sims.cardea_arm import HIGH, LOW, SHOULDER, slant, wrist
 from sims.cardea_physics import URDF, pybullet
 from sims.kinematics import Chain, Pose
 
+pytestmark = pytest.mark.oracle  # the first use imports for some seconds
+
 ORIGIN = torch.tensor(SHOULDER).double()
 
 
