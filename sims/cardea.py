@@ -115,8 +115,8 @@ class Cardea:
     physics_dt: float = 0.004
     time_limit: float = 2.0
     torque_noise: float = 0.02
-    start: Sequence[float] | None = None
-    goal: Sequence[float] | None = None
+    start: Sequence[float] | None = field(default=None, hash=False)
+    goal: Sequence[float] | None = field(default=None, hash=False)
     clearance: float = 0.03
     max_tilt: float = 0.5
     reached_error: float = 0.1
@@ -211,7 +211,8 @@ class Cardea:
         new = state.reshape(-1, 26).clone()
         torques = torque.reshape(-1, 5)
         going = self.outcome(new) == int(Outcome.RUNNING)
-        usable = torques.isfinite().all(-1)
+        # Of the action: clipping makes a limit of infinity.
+        usable = action.reshape(-1, 5).isfinite().all(-1)
         for k in (going & ~usable).nonzero()[:, 0].tolist():
             self._warn(k, "a torque is not finite: its episode ends as a failure")
             new[k, _TROUBLE] = int(Trouble.TORQUE)
@@ -297,7 +298,7 @@ class Cardea:
         self, numbers: list[int], states: list[list[float]], torques: list[list[float]]
     ) -> Tensor:
         """The next states ``[N, 14]`` of the rows ``numbers``, with the ``Trouble`` of each as a
-        fifteenth column."""
+        fifteenth column (what ``Robot.step`` says of touching is CONTACT or NONE)."""
         dt, substeps = self.physics_dt, self._substeps
         rows: list[Step] = [(dt, substeps, *row) for row in zip(states, torques, strict=True)]
         if self.workers == 0:

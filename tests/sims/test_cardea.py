@@ -204,11 +204,12 @@ def test_the_arm_against_the_column_is_a_contact() -> None:
     assert state[24] < 1.0 and state.isfinite().all()
 
 
-def test_a_torque_that_is_no_number_ends_the_episode() -> None:
+@pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
+def test_a_torque_that_is_not_finite_ends_the_episode(torque: float) -> None:
     cardea = Cardea()
     state = cardea.initial(uniforms(3, 2))
     action = torch.zeros(3, 5).double()
-    action[1, 2] = math.nan
+    action[1, 2] = torque
     with pytest.warns(RuntimeWarning, match="row 1: a torque is not finite"):
         after = cardea.step(state, action, uniforms(3, 5))
     assert cardea.outcome(after).tolist() == [Outcome.RUNNING, Outcome.FAILED, Outcome.RUNNING]
