@@ -207,10 +207,10 @@ class Cardea:
         """The state ``dt`` later; action ``[*batch, 5]`` in N m; uniforms ``[*batch, 5]``."""
         # The least uniform number, 0, would be noise without bound.
         noise = torch.special.ndtri(uniforms.clamp(min=2.0**-54)) * (self.torque_noise * _LIMITS)
-        torque = torch.minimum(torch.maximum(action + noise, -_LIMITS), _LIMITS)
+        torque = torch.clamp(action + noise, -_LIMITS, _LIMITS)
         new = state.reshape(-1, 26).clone()
         torques = torque.reshape(-1, 5)
-        going = self.outcome(new) == int(Outcome.RUNNING)
+        going = self._sound(new) & self._in_time(new)
         # Of the action: clipping makes a limit of infinity.
         usable = action.reshape(-1, 5).isfinite().all(-1)
         for k in (going & ~usable).nonzero()[:, 0].tolist():
@@ -218,9 +218,10 @@ class Cardea:
             new[k, _TROUBLE] = int(Trouble.TORQUE)
         rows = (going & usable).nonzero()[:, 0]
         if len(rows):
-            moved = self._move(rows.tolist(), new[rows, :14].tolist(), torques[rows].tolist())
-            new[rows, :14], new[rows, _TROUBLE] = moved[:, :14], moved[:, 14]
-            new[rows, _APPLIED] = torques[rows]
+            before, torques = new[rows], torques[rows]
+            moved = self._move(rows.tolist(), before[:, :14].tolist(), torques.tolist())
+            kept = (before[:, _GOAL], torques, before[:, _CLOCK, None])
+            new[rows] = torch.cat((moved[:, :14], *kept, moved[:, 14:]), -1)
         new[going, _CLOCK] += self.dt
         return new.reshape(state.shape)
 
@@ -234,17 +235,12 @@ class Cardea:
 
     def outcome(self, state: Tensor) -> Tensor:
         """``Outcome`` of each row as int64 ``[*batch]``, the time limit included."""
-        # Written so that a comparison with NaN counts as failure.
-        sound = (state[..., _Q].abs() <= _STOPS).all(-1)
-        sound &= (state[..., _TILT].abs() <= self.max_tilt) & (state[..., _TROUBLE] == 0)
-        sound &= state.isfinite().all(-1)
         reached = (_joint_error(state) < self.reached_error) & (
             _joint_speed(state) < self.reached_speed
         )
-        ended = state[..., _CLOCK] > self.time_limit - self.dt / 2
         verdict = torch.where(reached, int(Outcome.SUCCEEDED), int(Outcome.TIMED_OUT))
-        verdict = torch.where(ended, verdict, int(Outcome.RUNNING))
-        return torch.where(sound, verdict, int(Outcome.FAILED))
+        verdict = torch.where(self._in_time(state), int(Outcome.RUNNING), verdict)
+        return torch.where(self._sound(state), verdict, int(Outcome.FAILED))
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Figures of finished episodes at their end, each ``[*batch]``.
@@ -285,6 +281,16 @@ class Cardea:
         from sims.cardea_picture import frame
 
         return frame(trail[-1])
+
+    def _in_time(self, state: Tensor) -> Tensor:
+        # Half a step of tolerance: the sum is rounded.
+        return state[..., _CLOCK] < self.time_limit - self.dt / 2
+
+    def _sound(self, state: Tensor) -> Tensor:
+        # Written so that a comparison with NaN counts as failure.
+        inside = (state[..., _Q].abs() <= _STOPS).all(-1)
+        upright = (state[..., _TILT].abs() <= self.max_tilt) & (state[..., _TROUBLE] == 0)
+        return inside & upright & state.isfinite().all(-1)
 
     @property
     def _substeps(self) -> int:
