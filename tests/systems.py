@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +13,11 @@ from edtorch.closed_form import LinearMeanOnly
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import FeatureMap, Identity
 from edtorch.fit import Fit, SquaredError
-from edtorch.interact import Budget, Training
+from edtorch.interact import Training
 from edtorch.learner import Learner
 from edtorch.models import DerivativeModel, NextStateModel
 from edtorch.policies import LinearPolicy
+from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import MeanOnly
 from edtorch.unroll import Generic, Horizon, ValueGradient
@@ -42,6 +43,9 @@ def random_cost(generator: torch.Generator, n: int) -> Tensor:
     return root @ root.T / n
 
 
+Features = Callable[[int], FeatureMap]
+
+
 @dataclass(frozen=True)
 class LinearCase:
     """A random linear problem for a batch of learners, in all of its paths."""
@@ -64,16 +68,16 @@ def linear_case(
     batch: int = 3,
     discount: float = 0.97,
     action_cost: bool = False,
-    features: tuple[type[FeatureMap], type[FeatureMap]] = (Identity, Identity),
+    features: tuple[Features, Features] = (Identity, Identity),
 ) -> LinearCase:
     """A derivative model of n states and m actions, random and mildly unstable.
 
     features: of the model and of the policy, Identity or Affine.
     """
     g = torch.Generator().manual_seed(1000 * n + 10 * m + steps)
-    of_model, of_policy = (kind(size) for kind, size in zip(features, (n + m, n), strict=True))
-    model = DerivativeModel(n, m, of_model, torch.zeros(n, dtype=torch.float64))
-    policy = LinearPolicy(n, m, of_policy)
+    of_model, of_policy = features
+    model = DerivativeModel(n, m, of_model(n + m), torch.zeros(n, dtype=torch.float64))
+    policy = LinearPolicy(n, m, of_policy(n))
     R = random_cost(g, m) if action_cost else torch.zeros(m, m, dtype=torch.float64)
     reward = QuadraticReward(random_cost(g, n), R)
     horizon = Horizon(steps, 0.05, discount, 0.05)

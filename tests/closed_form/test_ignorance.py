@@ -7,10 +7,10 @@ import torch
 
 from edtorch.closed_form import LinearIgnorance, LinearMoment
 from edtorch.dispatch import choose_path
-from edtorch.features import Affine, FeatureMap, Identity
+from edtorch.features import Affine, Identity
 from edtorch.noise import BayesianNoise, ResidualNoise
 from edtorch.transform import Cubature, FirstOrder, SecondOrder, Transform
-from tests.systems import LinearCase, linear_case, random_cost, same_value_and_gradient
+from tests.systems import Features, LinearCase, linear_case, random_cost, same_value_and_gradient
 
 
 @pytest.mark.oracle
@@ -27,7 +27,7 @@ def test_equals_the_generic_path(
 @pytest.mark.parametrize("transform", [FirstOrder(), Cubature()])
 @pytest.mark.parametrize("features", [(Affine, Identity), (Identity, Affine), (Affine, Affine)])
 def test_constant_terms_are_states_that_stay_one(
-    features: tuple[type[FeatureMap], type[FeatureMap]], transform: Transform
+    features: tuple[Features, Features], transform: Transform
 ) -> None:
     check_paths(linear_case(3, 2, 5, action_cost=True, features=features), 3, transform)
 

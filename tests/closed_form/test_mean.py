@@ -14,8 +14,8 @@ from edtorch.closed_form.mean import (
     powers_of_two,
 )
 from edtorch.closed_form.recursion import mean_by_recursion
-from edtorch.features import Affine, FeatureMap, Identity
-from tests.systems import linear_case, normal, random_cost, same_value_and_gradient
+from edtorch.features import Affine, Identity
+from tests.systems import Features, linear_case, normal, random_cost, same_value_and_gradient
 
 SIZES = [
     (5, 2, 30),
@@ -42,7 +42,7 @@ def test_equals_the_generic_path(n: int, m: int, steps: int, action_cost: bool) 
 @pytest.mark.oracle
 @pytest.mark.parametrize("features", [(Affine, Identity), (Identity, Affine), (Affine, Affine)])
 def test_constant_terms_are_states_that_stay_one(
-    features: tuple[type[FeatureMap], type[FeatureMap]],
+    features: tuple[Features, Features],
 ) -> None:
     case = linear_case(4, 2, 9, action_cost=True, features=features)
     arguments = (case.model, case.policy, case.noise, case.state)

@@ -9,11 +9,18 @@ from torch import Tensor
 from edtorch.closed_form import LinearMoment, mean_value_and_gradient, moment_value_and_gradient
 from edtorch.closed_form.moment import second_moments
 from edtorch.dispatch import choose_path
-from edtorch.features import Affine, FeatureMap, Identity
+from edtorch.features import Affine, Identity
 from edtorch.noise import ResidualNoise
 from edtorch.transform import Cubature, FirstOrder, Transform
 from edtorch.types import Belief
-from tests.systems import LinearCase, linear_case, normal, random_cost, same_value_and_gradient
+from tests.systems import (
+    Features,
+    LinearCase,
+    linear_case,
+    normal,
+    random_cost,
+    same_value_and_gradient,
+)
 
 SIZES = [(5, 2, 30), (5, 2, 1), (5, 2, 2), (7, 3, 17), (1, 1, 5), (14, 5, 12)]
 
@@ -31,7 +38,7 @@ def test_equals_the_generic_path(
 @pytest.mark.oracle
 @pytest.mark.parametrize("features", [(Affine, Identity), (Identity, Affine), (Affine, Affine)])
 def test_constant_terms_are_states_that_stay_one(
-    features: tuple[type[FeatureMap], type[FeatureMap]],
+    features: tuple[Features, Features],
 ) -> None:
     check_paths(linear_case(4, 2, 9, action_cost=True, features=features), 4, FirstOrder())
 
