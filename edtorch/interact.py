@@ -27,15 +27,19 @@ WATCHED = 16
 
 @dataclass(frozen=True)
 class Moment:
-    """What a tick did to the learners ``rows`` of the population.
+    """What a tick did to the learners ``rows`` of a population, and to padding after them.
 
-    before: their worlds as they were; world ``[B, k]``: as the tick left them, new episodes not yet
-    begun; outcome ``[B]``: an ``Outcome``, RUNNING where no episode has ended.
+    start, begun, episodes, active: as in ``Experience``, before the tick; world ``[B, k]``: as the
+    tick left it, new episodes not yet begun; outcome ``[B]``: an ``Outcome``, RUNNING where no
+    episode has ended.
     """
 
     clock: int
     rows: slice
-    before: Experience
+    start: Tensor
+    begun: Tensor
+    episodes: Tensor
+    active: Tensor
     world: Tensor
     outcome: Tensor
 
@@ -86,7 +90,18 @@ class Eager:
                 here = self._tick.turn(here, outcome, draw, now)
             self.population = here
             if ended or now % stride == 0:
-                note(Moment(now, self._everybody, before, world, outcome))
+                note(
+                    Moment(
+                        clock=now,
+                        rows=self._everybody,
+                        start=before.start,
+                        begun=before.begun,
+                        episodes=before.episodes,
+                        active=before.active,
+                        world=world,
+                        outcome=outcome,
+                    )
+                )
             if ended and not bool(here.worlds.active.any()):
                 return now - clock
         return ticks
@@ -186,16 +201,15 @@ class Training:
     def _note(self, moment: Moment) -> None:
         if moment.rows.start == 0 and moment.clock % self.trail.stride == 0:
             watched = slice(0, self.trail.size)
-            self.trail.append(moment.world[watched], moment.before.active[watched])
+            self.trail.append(moment.world[watched], moment.active[watched])
         if bool(moment.outcome.any()):
             self._record(moment)
 
     def _record(self, moment: Moment) -> None:
         """The episodes that have just ended."""
-        before = moment.before
-        seconds = (moment.clock - before.begun).to(torch.float64) * self.world.dt
+        seconds = (moment.clock - moment.begun).to(torch.float64) * self.world.dt
         rows = moment.outcome.nonzero().flatten()
-        measures = self.world.sim.measures(before.start[rows], moment.world[rows], seconds[rows])
+        measures = self.world.sim.measures(moment.start[rows], moment.world[rows], seconds[rows])
         for place, index in enumerate(rows.tolist()):
             row = moment.rows.start + index
             trail = (0, 0)
@@ -205,8 +219,8 @@ class Training:
             self.episodes.append(
                 Episode(
                     row=row,
-                    number=int(before.episodes[index]),
-                    start=int(before.begun[index]) * self.world.dt,
+                    number=int(moment.episodes[index]),
+                    start=int(moment.begun[index]) * self.world.dt,
                     seconds=float(seconds[index]),
                     outcome=Outcome(int(moment.outcome[index])),
                     measures={name: float(figure[place]) for name, figure in measures.items()},

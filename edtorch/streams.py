@@ -64,10 +64,15 @@ class Streams:
 
     def at(self, tick: int) -> Draw:
         """The numbers of ``tick`` (any order of ticks is allowed; rising order is fast)."""
+        uniform, normal = self.stored(tick)
+        return Draw(uniform.movedim(0, -1), normal.movedim(0, -1))
+
+    def stored(self, tick: int) -> tuple[Tensor, Tensor]:
+        """The same as it is stored, with the batch last: ``[u, B]`` and ``[v, B]``."""
         block, row = divmod(tick, BLOCK)
         if block != self._block:
             self._fill(block)
-        return Draw(self._uniform[row].movedim(0, -1), self._normal[row].movedim(0, -1))
+        return self._uniform[row], self._normal[row]
 
     def _fill(self, block: int) -> None:
         # Stored component by component: the population is the innermost axis.
