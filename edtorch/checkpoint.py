@@ -19,7 +19,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from edtorch.interact import Experience, Training
+from edtorch.interact import Training
+from edtorch.tick import Experience
 from edtorch.types import LearnerState, Parameters
 
 

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import torch
 from torch import Tensor
 
-from edtorch.closed_form import LinearIgnorance, LinearMeanOnly, LinearMoment
+from edtorch.closed_form import (
+    LinearIgnorance,
+    LinearMeanOnly,
+    LinearMoment,
+    mean_value_and_gradient,
+    moment_value_and_gradient,
+)
 from edtorch.closed_form.ignorance import at_mean, averaged
+from edtorch.closed_form.linear import squared
+from edtorch.closed_form.recursion import is_diagonal, mean_by_recursion, moment_by_recursion
 from edtorch.models import Model
 from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
@@ -23,13 +32,22 @@ EXACT_FOR_LINEAR = (MeanOnly, FirstOrder, SecondOrder, Cubature)
 """Transforms that are exact, hence equal, where the closed loop is linear."""
 
 
+MOST_RECURSIVE_STEPS = 64
+"""Longest horizon that is compiled step by step: every step is code of its own."""
+
+
 @dataclass(frozen=True)
 class Choice:
-    """The path taken, a sentence for the log that says why, and the generic path beside it."""
+    """The path taken, a sentence for the log that says why, and its two companions.
+
+    generic: the path that holds for everything; compiled: the same as ``path`` as a compiler wants
+    it, None where there is no such form.
+    """
 
     path: ValuePath
     reason: str
     generic: Generic
+    compiled: ValuePath | None = None
 
 
 def choose_path(
@@ -50,10 +68,12 @@ def choose_path(
     the belief that an unroll starts from, None for a point.
     """
     generic = Generic(model, policy, reward, transform, horizon, noise, start_cov)
+    dynamics = model.linear_dynamics(model.weight.detach(), horizon.dt)
+    gain = policy.linear_gain(policy.weight.detach())
     obstacles = []
-    if model.linear_dynamics(model.weight.detach(), horizon.dt) is None:
+    if dynamics is None:
         obstacles.append("the model is not linear in state and action")
-    if policy.linear_gain(policy.weight.detach()) is None:
+    if gain is None:
         obstacles.append("the policy is not linear in the state")
     if not isinstance(reward, QuadraticReward):
         obstacles.append("the reward is not quadratic")
@@ -69,17 +89,45 @@ def choose_path(
     if wish == "generic" or obstacles or not isinstance(reward, QuadraticReward):
         because = "; ".join(obstacles) or "asked for"
         return Choice(generic, f"generic path ({because})", generic)
-    weights = torch.tensor(horizon.weights(), dtype=model.weight.dtype, device=model.weight.device)
+
+    affine = (dynamics is not None and dynamics.constant is not None) or (
+        gain is not None and gain.constant is not None
+    )
+    cost = squared(reward.state_cost) if affine else reward.state_cost
+    costs = {
+        "state_cost": cost,
+        "action_cost": reward.action_cost if reward.costs_actions else None,
+    }
+    stepwise = costs | {
+        "state_cost": cost.diagonal() if is_diagonal(cost) else cost,
+        "weights": horizon.weights(),
+    }
+    weights = torch.tensor(horizon.weights(), dtype=cost.dtype, device=cost.device)
+    batched = costs | {"weights": weights}
+    is_short = horizon.steps <= MOST_RECURSIVE_STEPS
+    loop = "affine" if affine else "linear"
+    what = "mean only"
     if noise is None or not transform.propagates_covariance:
-        mean = LinearMeanOnly(model, policy, reward, horizon, weights)
-        reason = "closed form (linear closed loop, quadratic reward, mean only)"
-        return Choice(mean, reason, generic)
-    n = model.states
-    cov = model.weight.new_zeros(n, n) if start_cov is None else start_cov
-    what = "mean and covariance"
-    path: ValuePath = LinearMoment(model, policy, reward, horizon, weights, noise, cov.detach())
-    if isinstance(noise, BayesianNoise):
-        passes = at_mean if isinstance(transform, FirstOrder) else averaged
-        path = LinearIgnorance(model, policy, reward, horizon, noise, cov.detach(), passes)
-        what = "mean, covariance and what the model does not know"
-    return Choice(path, f"closed form (linear closed loop, quadratic reward, {what})", generic)
+        path = LinearMeanOnly(
+            model, policy, horizon.dt, partial(mean_value_and_gradient, **batched)
+        )
+        # Doubling is a short program for any horizon, if not the fastest.
+        compiled = path
+        if is_short:
+            compiled = replace(path, solve=partial(mean_by_recursion, **stepwise))
+    else:
+        cov = model.weight.new_zeros(model.states, model.states) if start_cov is None else start_cov
+        cov = cov.detach()
+        if isinstance(noise, BayesianNoise):
+            what = "mean, covariance and what the model does not know"
+            passes = at_mean if isinstance(transform, FirstOrder) else averaged
+            path = LinearIgnorance(model, policy, reward, horizon, noise, cov, passes)
+            compiled = path if is_short else None
+        else:
+            what = "mean and covariance"
+            solve = partial(moment_value_and_gradient, **batched)
+            path = LinearMoment(model, policy, horizon.dt, solve, noise, cov)
+            by_steps = partial(moment_by_recursion, **stepwise)
+            compiled = replace(path, solve=by_steps) if is_short else None
+    reason = f"closed form ({loop} closed loop, quadratic reward, {what})"
+    return Choice(path, reason, generic, compiled)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import torch
 
-from edtorch.interact import Episode
 from edtorch.policies import LinearPolicy
+from edtorch.records import Episode
 from edtorch.streams import Purpose, Streams, stream_key
 from edtorch.types import Parameters, select
 from edtorch.world import World

@@ -47,10 +47,8 @@ def population(template: torch.nn.Module, size: int) -> Parameters:
 def _finite(total: Tensor, *more: Tensor) -> Tensor:
     """Whether every number of a learner is finite, ``[B]``; tensors ``[B, ...]``."""
     # A sum is finite only if all of its terms are (or it overflows, which is trouble as well).
-    for tensor in (total, *more):
-        part = tensor.flatten(1).sum(-1) if tensor.ndim > 1 else tensor
-        total = part if tensor is total else total + part
-    return torch.isfinite(total)
+    parts = [t.sum(tuple(range(1, t.ndim))) if t.ndim > 1 else t for t in (total, *more)]
+    return torch.isfinite(sum(parts[1:], parts[0]))
 
 
 def _where(mask: Tensor, yes: Parameters, no: Parameters) -> Parameters:

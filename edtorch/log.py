@@ -18,7 +18,7 @@ from rich.text import Text
 from torch.utils.tensorboard.summary import hparams
 from torch.utils.tensorboard.writer import SummaryWriter
 
-from edtorch.interact import Episode, Snapshot
+from edtorch.records import Episode, Snapshot
 
 
 class Sink(Protocol):

@@ -39,7 +39,7 @@ class ClosedLoop:
         gain = self.policy.linear_gain(self.policy_parameters["weight"])
         if dynamics is None or gain is None:
             return None
-        closed = dynamics.state + dynamics.action @ gain
+        closed = dynamics.state + dynamics.action @ gain.state
         return closed.expand(*state.shape, state.shape[-1])
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from edtorch.features import FeatureMap, Identity
+from edtorch.features import Affine, FeatureMap, Identity
 from edtorch.types import Transition
 
 
@@ -22,10 +22,22 @@ def matvec(matrix: Tensor, vector: Tensor) -> Tensor:
 
 
 class LinearDynamics(NamedTuple):
-    """s' = state s + action a: state ``[*batch, n, n]``, action ``[*batch, n, m]``."""
+    """s' = s + drift s + action a + constant.
 
-    state: Tensor
+    drift ``[*batch, n, n]``, action ``[*batch, n, m]``, constant ``[*batch, n]`` or None for zero.
+    The step from s is kept apart from s itself: it is small, and in float32 the sum would round it.
+    """
+
+    drift: Tensor
     action: Tensor
+    constant: Tensor | None
+
+    @property
+    def state(self) -> Tensor:
+        """ds'/ds = I + drift."""
+        return torch.eye(self.drift.shape[-1], dtype=self.drift.dtype, device=self.drift.device) + (
+            self.drift
+        )
 
 
 class LinearModel(nn.Module):
@@ -70,10 +82,14 @@ class LinearModel(nn.Module):
         difference = transition.next_state - transition.state
         return difference - self.period * torch.round(difference * self.turns_per_unit)
 
-    def _linear_parts(self, weight: Tensor) -> LinearDynamics | None:
-        if not isinstance(self.features, Identity):
+    def _linear_parts(self, weight: Tensor) -> tuple[Tensor, Tensor, Tensor | None] | None:
+        """What multiplies state, action and 1 in W phi, if nothing else does."""
+        constant = None
+        if isinstance(self.features, Affine):
+            constant, weight = weight[..., 0], weight[..., 1:]
+        elif not isinstance(self.features, Identity):
             return None
-        return LinearDynamics(weight[..., : self.states], weight[..., self.states :])
+        return weight[..., : self.states], weight[..., self.states :], constant
 
 
 class DerivativeModel(LinearModel):
@@ -100,12 +116,12 @@ class DerivativeModel(LinearModel):
         return residual.unsqueeze(-1) * residual.unsqueeze(-2) * dt
 
     def linear_dynamics(self, weight: Tensor, dt: float) -> LinearDynamics | None:
-        """I + dt W_s and dt W_a where the features are the variables themselves, else None."""
+        """dt W where the features are the variables themselves (and perhaps 1), else None."""
         parts = self._linear_parts(weight)
         if parts is None:
             return None
-        identity = torch.eye(self.states, dtype=weight.dtype, device=weight.device)
-        return LinearDynamics(identity + dt * parts.state, dt * parts.action)
+        state, action, constant = parts
+        return LinearDynamics(dt * state, dt * action, None if constant is None else dt * constant)
 
 
 class NextStateModel(LinearModel):
@@ -132,8 +148,13 @@ class NextStateModel(LinearModel):
         return residual.unsqueeze(-1) * residual.unsqueeze(-2)
 
     def linear_dynamics(self, weight: Tensor, dt: float) -> LinearDynamics | None:
-        """W_s and W_a where the features are the variables themselves, else None."""
-        return self._linear_parts(weight)
+        """W where the features are the variables themselves (and perhaps 1), else None."""
+        parts = self._linear_parts(weight)
+        if parts is None:
+            return None
+        state, action, constant = parts
+        identity = torch.eye(self.states, dtype=weight.dtype, device=weight.device)
+        return LinearDynamics(state - identity, action, constant)
 
 
 Model = DerivativeModel | NextStateModel

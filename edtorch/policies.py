@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
-from edtorch.features import FeatureMap, Identity
+from edtorch.features import Affine, FeatureMap, Identity
 from edtorch.models import matvec
 from edtorch.types import Parameters
+
+
+class LinearGain(NamedTuple):
+    """pi(s) = state s + constant: ``[*batch, m, n]``, and ``[*batch, m]`` or None for zero."""
+
+    state: Tensor
+    constant: Tensor | None
 
 
 class LinearPolicy(nn.Module):
@@ -35,9 +44,11 @@ class LinearPolicy(nn.Module):
         """``forward`` with these parameters; in the loop, ``functional_call`` would cost more."""
         return matvec(parameters["weight"], self.features(state))
 
-    def linear_gain(self, weight: Tensor) -> Tensor | None:
-        """theta ``[*batch, m, n]`` if the weights ``[*batch, m, k]`` mean pi(s) = theta s."""
-        return weight if isinstance(self.features, Identity) else None
+    def linear_gain(self, weight: Tensor) -> LinearGain | None:
+        """What the weights ``[*batch, m, k]`` mean if pi is linear or affine in the state."""
+        if isinstance(self.features, Affine):
+            return LinearGain(weight[..., 1:], weight[..., 0])
+        return LinearGain(weight, None) if isinstance(self.features, Identity) else None
 
 
 class SquashedPolicy(LinearPolicy):
@@ -47,7 +58,7 @@ class SquashedPolicy(LinearPolicy):
         """``[*batch, n] -> [*batch, m]`` in (-1, 1)."""
         return torch.tanh(super().action(parameters, state))
 
-    def linear_gain(self, weight: Tensor) -> Tensor | None:
+    def linear_gain(self, weight: Tensor) -> LinearGain | None:
         """None: never linear."""
         return None
 

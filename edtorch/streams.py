@@ -64,18 +64,24 @@ class Streams:
 
     def at(self, tick: int) -> Draw:
         """The numbers of ``tick`` (any order of ticks is allowed; rising order is fast)."""
+        uniform, normal = self.stored(tick)
+        return Draw(uniform.movedim(0, -1), normal.movedim(0, -1))
+
+    def stored(self, tick: int) -> tuple[Tensor, Tensor]:
+        """The same as it is stored, with the batch last: ``[u, B]`` and ``[v, B]``."""
         block, row = divmod(tick, BLOCK)
         if block != self._block:
             self._fill(block)
-        return Draw(self._uniform[row], self._normal[row])
+        return self._uniform[row], self._normal[row]
 
     def _fill(self, block: int) -> None:
-        uniform = np.empty((BLOCK, len(self._keys), self._uniforms))
-        normal = np.empty((BLOCK, len(self._keys), self._normals))
+        # Stored component by component: the population is the innermost axis.
+        uniform = np.empty((BLOCK, self._uniforms, len(self._keys)))
+        normal = np.empty((BLOCK, self._normals, len(self._keys)))
         for row, key in enumerate(self._keys):
             generator = np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, block]))
-            uniform[:, row] = generator.random((BLOCK, self._uniforms))
-            normal[:, row] = generator.standard_normal((BLOCK, self._normals))
+            uniform[..., row] = generator.random((BLOCK, self._uniforms))
+            normal[..., row] = generator.standard_normal((BLOCK, self._normals))
         self._uniform = torch.from_numpy(uniform).to(self._dtype)
         self._normal = torch.from_numpy(normal).to(self._dtype)
         self._block = block

@@ -7,12 +7,13 @@ from torch import Tensor
 
 
 class Trail:
-    """Recent states of every world, each ``stride`` ticks: a ring of ``capacity`` rows."""
+    """Recent states of ``size`` worlds, each ``stride`` ticks: a ring of ``capacity`` rows."""
 
     def __init__(self, world: Tensor, stride: int, capacity: int) -> None:
         self.stride = stride
         self.capacity = capacity
-        self._rows = torch.arange(world.shape[0])
+        self.size = world.shape[0]
+        self._rows = torch.arange(self.size)
         self._ring = torch.zeros(capacity, *world.shape, dtype=world.dtype)
         self._count = torch.zeros(world.shape[0], dtype=torch.int64)
 

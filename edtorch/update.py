@@ -18,7 +18,7 @@ from edtorch.types import Parameters
 
 def gradient_norm(gradient: Parameters) -> Tensor:
     """|dV/dtheta| of each learner, ``[B]``."""
-    squares = [g.flatten(1).square().sum(-1) for g in gradient.values()]
+    squares = [g.square().sum(tuple(range(1, g.ndim))) for g in gradient.values()]
     return torch.stack(squares).sum(0).sqrt()
 
 

@@ -20,6 +20,7 @@ class World:
         self.spec = sim.spec
         self.dtype = dtype
         self.dt = sim.spec.dt
+        self.seconds = torch.tensor(sim.spec.dt, dtype=dtype)
         self.limit_ticks = round(sim.spec.time_limit / sim.spec.dt)
         state, action = sim.spec.state, sim.spec.action
         self._state_scale = torch.tensor([q.scale for q in state], dtype=torch.float64)

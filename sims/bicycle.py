@@ -16,7 +16,7 @@ from torch import Tensor
 
 from sims.angles import atan2
 from sims.base import Outcome, Quantity, Spec
-from sims.bicycle_optimum import shortest_time
+from sims.bicycle_optimum import shortest_time, steady_handlebar
 from sims.bicycle_physics import (
     RANDLOV,
     STATE,
@@ -171,6 +171,10 @@ class Bicycle:
         return self._spec
 
     @cached_property
+    def _steady_handlebar(self) -> Tensor:
+        return steady_handlebar(physics=self.physics)
+
+    @cached_property
     def _spec(self) -> Spec:
         scale = _STATE_SCALE | dict(self.state_scale)
         names = list(_STATE_SCALE) if self.lean_acceleration else list(_STATE_SCALE)[:-1]
@@ -248,7 +252,11 @@ class Bicycle:
             "goal_time_s": torch.where(succeeded, seconds, math.nan),
             "path_length_m": seconds * self.physics.v,
             "shortest_time_s": shortest_time(
-                start, goal=GOAL, goal_radius=self.goal_radius, physics=self.physics
+                start,
+                goal=GOAL,
+                goal_radius=self.goal_radius,
+                physics=self.physics,
+                handlebar=self._steady_handlebar,
             ),
         }
 

@@ -54,16 +54,19 @@ def shortest_time(
     goal: tuple[float, float] = (1000.0, 0.0),
     goal_radius: float = 10.0,
     physics: Physics = RANDLOV,
+    handlebar: Tensor | None = None,
 ) -> Tensor:
     """Seconds ``[*batch]`` that the way from ``start`` ``[*batch, 10]`` to the goal takes at least.
 
     356.0 s straight ahead from the origin, 360 s from behind.  Where the disc is so close that it
     is met before the arc ends, the time straight to its edge stands in: a bound too, if a loose
-    one.
+    one.  ``handlebar`` is that of ``steady_handlebar``, if it is known already.
     """
     components = start.movedim(-1, 0).contiguous()
     psi, x, y = components[5], components[6], components[7]
-    handlebar = steady_handlebar(physics=physics).to(start)
+    if handlebar is None:
+        handlebar = steady_handlebar(physics=physics)
+    handlebar = handlebar.to(start)
     radius = physics.l / handlebar.sin()
 
     # The goal as the front tyre sees it: distance, and angle from the nearest direction it can

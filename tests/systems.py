@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,15 +11,16 @@ from torch import Tensor
 
 from edtorch.closed_form import LinearMeanOnly
 from edtorch.dispatch import Wish, choose_path
-from edtorch.features import Identity
+from edtorch.features import FeatureMap, Identity
 from edtorch.fit import Fit, SquaredError
-from edtorch.interact import Budget, Training
+from edtorch.interact import Training
 from edtorch.learner import Learner
 from edtorch.models import DerivativeModel, NextStateModel
 from edtorch.policies import LinearPolicy
+from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import MeanOnly
-from edtorch.unroll import Generic, Horizon
+from edtorch.unroll import Generic, Horizon, ValueGradient
 from edtorch.update import SaturatedStep
 from edtorch.world import World
 from sims.base import Sim
@@ -42,12 +43,17 @@ def random_cost(generator: torch.Generator, n: int) -> Tensor:
     return root @ root.T / n
 
 
+Features = Callable[[int], FeatureMap]
+
+
 @dataclass(frozen=True)
 class LinearCase:
-    """A random linear problem for a batch of learners, in both paths."""
+    """A random linear problem for a batch of learners, in all of its paths."""
 
     generic: Generic
     closed: LinearMeanOnly
+    compiled: LinearMeanOnly
+    reward: QuadraticReward
     model: dict[str, Tensor]
     policy: dict[str, Tensor]
     noise: dict[str, Tensor]
@@ -55,28 +61,48 @@ class LinearCase:
 
 
 def linear_case(
-    n: int, m: int, steps: int, *, batch: int = 3, discount: float = 0.97, action_cost: bool = False
+    n: int,
+    m: int,
+    steps: int,
+    *,
+    batch: int = 3,
+    discount: float = 0.97,
+    action_cost: bool = False,
+    features: tuple[Features, Features] = (Identity, Identity),
 ) -> LinearCase:
-    """A derivative model of n states and m actions, random and mildly unstable."""
+    """A derivative model of n states and m actions, random and mildly unstable.
+
+    features: of the model and of the policy, Identity or Affine.
+    """
     g = torch.Generator().manual_seed(1000 * n + 10 * m + steps)
-    model = DerivativeModel(n, m, Identity(n + m), torch.zeros(n, dtype=torch.float64))
-    policy = LinearPolicy(n, m, Identity(n))
+    of_model, of_policy = features
+    model = DerivativeModel(n, m, of_model(n + m), torch.zeros(n, dtype=torch.float64))
+    policy = LinearPolicy(n, m, of_policy(n))
     R = random_cost(g, m) if action_cost else torch.zeros(m, m, dtype=torch.float64)
     reward = QuadraticReward(random_cost(g, n), R)
     horizon = Horizon(steps, 0.05, discount, 0.05)
-    paths = [
-        choose_path(wish, model, policy, reward, MeanOnly(), horizon).path
-        for wish in ("generic", "closed_form")
-    ]
-    assert isinstance(paths[0], Generic) and isinstance(paths[1], LinearMeanOnly)
+    choice = choose_path("closed_form", model, policy, reward, MeanOnly(), horizon)
+    assert isinstance(choice.path, LinearMeanOnly) and isinstance(choice.compiled, LinearMeanOnly)
     return LinearCase(
-        generic=paths[0],
-        closed=paths[1],
-        model={"weight": normal(g, batch, n, n + m)},
-        policy={"weight": normal(g, batch, m, n)},
+        generic=choice.generic,
+        closed=choice.path,
+        compiled=choice.compiled,
+        reward=reward,
+        model={"weight": normal(g, batch, *model.weight.shape)},
+        policy={"weight": normal(g, batch, *policy.weight.shape)},
         noise={},
         state=normal(g, batch, n),
     )
+
+
+def same_value_and_gradient(
+    found: ValueGradient, wanted: ValueGradient, tolerance: float = 1e-10
+) -> None:
+    """Assert that two paths agree, relatively; the gradient as a vector."""
+    assert torch.allclose(found.value, wanted.value, rtol=tolerance, atol=0)
+    difference = found.gradient["weight"] - wanted.gradient["weight"]
+    size = wanted.gradient["weight"].flatten(1).norm(dim=-1)
+    assert bool((difference.flatten(1).norm(dim=-1) <= tolerance * size).all())
 
 
 def bicycle_learner(

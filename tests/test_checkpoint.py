@@ -20,7 +20,7 @@ from edtorch.checkpoint import (
     write_text,
 )
 from edtorch.fit import RecursiveLeastSquares
-from edtorch.interact import Budget
+from edtorch.records import Budget
 from tests.systems import bicycle_training
 
 CARD = PolicyCard("bicycle", ["lean"], ["torque"], [0.2, 2.0], "LinearPolicy(Identity)", [0, 1])

@@ -14,7 +14,7 @@ from edtorch.derivatives import (
     rowwise_jacobian,
     scalar_curvature,
 )
-from edtorch.features import Affine, FeatureMap, Identity
+from edtorch.features import FeatureMap, Identity, Pairwise
 from edtorch.loop import ClosedLoop
 from edtorch.models import DerivativeModel, NextStateModel
 from edtorch.policies import LinearPolicy, SquashedPolicy
@@ -68,7 +68,7 @@ def test_a_linear_loop_offers_its_jacobian(kind: type) -> None:
 
 
 @pytest.mark.parametrize(
-    ("features", "kind"), [(Affine(5), LinearPolicy), (Identity(5), SquashedPolicy)]
+    ("features", "kind"), [(Pairwise(5), LinearPolicy), (Identity(5), SquashedPolicy)]
 )
 def test_other_loops_are_differentiated(features: FeatureMap, kind: type) -> None:
     g = torch.Generator().manual_seed(3)

@@ -9,7 +9,7 @@ from torch import Tensor
 from edtorch.closed_form import LinearMeanOnly, LinearMoment
 from edtorch.derivatives import StateFunction
 from edtorch.dispatch import choose_path
-from edtorch.features import Affine, Identity
+from edtorch.features import Identity, Pairwise
 from edtorch.models import DerivativeModel
 from edtorch.noise import ResidualNoise
 from edtorch.policies import LinearPolicy, SquashedPolicy
@@ -22,7 +22,7 @@ HORIZON = Horizon(5, 0.05, 1.0, 0.05)
 REWARD = QuadraticReward(torch.eye(2).double(), torch.zeros(1, 1).double())
 PERIOD = torch.zeros(2, dtype=torch.float64)
 LINEAR = DerivativeModel(2, 1, Identity(3), PERIOD)
-AFFINE = DerivativeModel(2, 1, Affine(3), PERIOD)
+CURVED = DerivativeModel(2, 1, Pairwise(3), PERIOD)
 PLAIN = LinearPolicy(2, 1, Identity(2))
 
 
@@ -56,7 +56,7 @@ def test_linear_loops_get_the_closed_form() -> None:
 @pytest.mark.parametrize(
     ("model", "policy", "reward", "transform", "why"),
     [
-        (AFFINE, PLAIN, REWARD, MeanOnly(), "the model is not linear"),
+        (CURVED, PLAIN, REWARD, MeanOnly(), "the model is not linear"),
         (LINEAR, SquashedPolicy(2, 1, Identity(2)), REWARD, MeanOnly(), "the policy is not linear"),
         (LINEAR, PLAIN, lambda s, a: -s[..., 0].cos(), MeanOnly(), "the reward is not quadratic"),
         (LINEAR, PLAIN, REWARD, FirstOrder(), "the noise is neither constant"),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from edtorch.evaluation import evaluate
-from edtorch.interact import Budget, Training
+from edtorch.interact import Training
+from edtorch.records import Budget
 from edtorch.world import World
 from sims.bicycle import Bicycle
 from tests.systems import bicycle_training

@@ -13,10 +13,11 @@ from edtorch.dispatch import choose_path
 from edtorch.evaluation import evaluate
 from edtorch.features import Identity
 from edtorch.fit import AbsoluteError, Fit, RecursiveLeastSquares, SquaredError
-from edtorch.interact import Budget, Training
+from edtorch.interact import Training
 from edtorch.learner import Learner
 from edtorch.noise import ResidualNoise
 from edtorch.policies import LinearPolicy
+from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import SecondOrder
 from edtorch.types import Parameters

@@ -10,11 +10,12 @@ import torch
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Identity
 from edtorch.fit import BayesianLeastSquares, Fit, RecursiveLeastSquares, SquaredError
-from edtorch.interact import Budget, Training
+from edtorch.interact import Training
 from edtorch.learner import Check, Learner
 from edtorch.models import DerivativeModel
 from edtorch.noise import BayesianNoise, LinearNoise, Noise, ResidualNoise
 from edtorch.policies import LinearPolicy
+from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import FirstOrder, MeanOnly
 from edtorch.types import LearnerState, Transition

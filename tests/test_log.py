@@ -13,8 +13,8 @@ import pytest
 from rich.console import Console
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from edtorch.interact import Episode, Snapshot
 from edtorch.log import ConsoleSink, CsvSink, StderrHandler, TensorBoardSink, median
+from edtorch.records import Episode, Snapshot
 from sims.base import Outcome
 
 NAN = math.nan

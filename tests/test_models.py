@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.func import jacrev
 
-from edtorch.features import Affine, Identity
+from edtorch.features import Affine, Identity, Pairwise
 from edtorch.models import DerivativeModel, Model, NextStateModel
 from edtorch.types import Transition
 from tests.systems import normal
@@ -88,8 +88,20 @@ def test_noise_per_second_and_per_step() -> None:
 
 
 def test_no_linear_dynamics_with_other_features() -> None:
-    model = DerivativeModel(2, 1, Affine(3), torch.zeros(2, dtype=torch.float64))
+    model = DerivativeModel(2, 1, Pairwise(3), torch.zeros(2, dtype=torch.float64))
     assert model.linear_dynamics(model.weight, 0.05) is None
+
+
+@pytest.mark.parametrize("kind", [DerivativeModel, NextStateModel])
+def test_affine_dynamics_have_a_constant(kind: type[Model]) -> None:
+    model = kind(2, 1, Affine(3), torch.zeros(2, dtype=torch.float64))
+    g = torch.Generator().manual_seed(0)
+    weight, s, a = normal(g, 2, 4), normal(g, 2), normal(g, 1)
+    dynamics = model.linear_dynamics(weight, 0.05)
+    assert dynamics is not None and dynamics.constant is not None
+    found = torch.func.functional_call(model, {"weight": weight}, (s, a, 0.05))
+    built = s + dynamics.drift @ s + dynamics.action @ a + dynamics.constant
+    assert torch.allclose(found, built, rtol=1e-13)
 
 
 def test_refuses_features_that_do_not_fit() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from edtorch.features import Affine, Identity
+from edtorch.features import Affine, Identity, Pairwise
 from edtorch.policies import LinearPolicy, SquashedPolicy, explore
 from tests.systems import normal
 
@@ -22,9 +22,14 @@ def test_linear_and_squashed() -> None:
 
 def test_only_the_plain_linear_policy_has_a_gain() -> None:
     weight = torch.ones(2, 3)
-    assert LinearPolicy(3, 2, Identity(3)).linear_gain(weight) is weight
+    gain = LinearPolicy(3, 2, Identity(3)).linear_gain(weight)
+    assert gain is not None and gain.state is weight and gain.constant is None
     assert SquashedPolicy(3, 2, Identity(3)).linear_gain(weight) is None
-    assert LinearPolicy(3, 2, Affine(3)).linear_gain(weight) is None
+    assert LinearPolicy(3, 2, Pairwise(3)).linear_gain(weight) is None
+    bias = torch.arange(8.0).reshape(2, 4)
+    affine = LinearPolicy(3, 2, Affine(3)).linear_gain(bias)
+    assert affine is not None and affine.constant is not None
+    assert torch.equal(affine.state, bias[:, 1:]) and torch.equal(affine.constant, bias[:, 0])
 
 
 def test_exploration_has_the_deviation_asked_for() -> None:

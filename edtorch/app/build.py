@@ -18,11 +18,11 @@ from edtorch.checkpoint import PolicyCard
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
 from edtorch.fit import Fit
-from edtorch.interact import Budget
 from edtorch.learner import Learner
 from edtorch.models import DerivativeModel, Model
 from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
+from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
 from edtorch.unroll import Horizon
 from edtorch.value_error import ValueErrorIndicator

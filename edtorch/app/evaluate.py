@@ -23,7 +23,7 @@ from edtorch.app.rundir import CONFIG, POLICY, command_line, json_text, load_con
 from edtorch.app.signals import Stop
 from edtorch.checkpoint import FileProblem, load_policy, write_text
 from edtorch.evaluation import evaluate
-from edtorch.interact import Episode
+from edtorch.records import Episode
 from edtorch.report.statistics import evaluation_figures
 from edtorch.world import World
 

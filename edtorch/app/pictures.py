@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from edtorch.interact import Episode, Training
+from edtorch.interact import Training
+from edtorch.records import Episode
 from edtorch.report.animation import save_animation
 from edtorch.report.figures import Ride, learning_curve, save_figure
 from sims.base import Pictured
@@ -25,8 +26,9 @@ class _Shown:
 
 
 def last_ride(training: Training) -> Episode | None:
-    """The ride that ended last; without any, the episode that ended last."""
-    rides = [e for e in training.episodes if e.is_ride] or training.episodes
+    """The ride that ended last; without any, the episode that ended last; of those watched."""
+    watched = [e for e in training.episodes if e.row < training.trail.size]
+    rides = [e for e in watched if e.is_ride] or watched
     return max(rides, key=lambda e: (e.start + e.seconds, -e.row)) if rides else None
 
 

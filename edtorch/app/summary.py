@@ -10,8 +10,9 @@ from omegaconf import DictConfig, OmegaConf
 from rich.table import Table
 
 from edtorch.app.rundir import command_line, versions
-from edtorch.interact import Episode, Training
+from edtorch.interact import Training
 from edtorch.learner import Check
+from edtorch.records import Episode
 from edtorch.report.statistics import evaluation_figures, learning_figures
 
 

@@ -1,10 +1,11 @@
 r"""Value and gradient when what the model does not know counts as noise.
 
 ``BayesianNoise`` makes nu~ quadratic in the state: along a linear policy the features are K s with
-K = (I; theta), so that over one step nu_pi(s) = nu (1 + c s'H s), H = K'P K.  A transform that
-averages nu_pi over the belief sees E[s'H s] = tr(H X) with X the second moment (``averaged``:
-second order and cubature, both exact for quadratics); the paper's first order takes nu_pi at the
-mean m (``at_mean``).  With Z = X or m m' and q = tr(H Z),
+K = (I; theta) (s being (1, s) where something is constant, see ``edtorch.closed_form.linear``), so
+that over one step nu_pi(s) = nu (1 + c s'H s), H = K'P K.  A transform that averages nu_pi over the
+belief sees E[s'H s] = tr(H X) with X the second moment (``averaged``: second order and cubature,
+both exact for quadratics); the paper's first order takes nu_pi at the mean m (``at_mean``).  With
+Z = X or m m' and q = tr(H Z),
 
     X_{tau+1} = A X_tau A' + nu (1 + c q_tau),  V = -sum_tau w_tau tr(C X_tau),
 
@@ -25,7 +26,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.closed_form.linear import linear_loop
+from edtorch.closed_form.linear import closed, linear_loop
 from edtorch.models import Model
 from edtorch.noise import BayesianNoise
 from edtorch.policies import LinearPolicy
@@ -38,29 +39,16 @@ from edtorch.unroll import Horizon, ValueGradient
 class UncertainLoop:
     """A linear loop under ``BayesianNoise``, all for a batch of B.
 
-    F ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``; nu ``[B, n, n]`` over one step; P
-    ``[B, n + m, n + m]``; c: the stretch; cost C ``[B, n, n]``, the policy's part included.
+    A ``[B, N, N]``; features K ``[B, k, N]``, phi = K s along the policy; nu ``[B, N, N]`` over one
+    step; P ``[B, k, k]``; c: the stretch; cost C ``[B, N, N]``, the policy's part included.
     """
 
-    F: Tensor
-    G: Tensor
-    theta: Tensor
+    A: Tensor
+    features: Tensor
     nu: Tensor
     P: Tensor
     stretch: float
     cost: Tensor
-
-    @property
-    def A(self) -> Tensor:
-        """F + G theta."""
-        return torch.baddbmm(self.F, self.G, self.theta)
-
-    @property
-    def features(self) -> Tensor:
-        """K = (I; theta), ``[B, n + m, n]``."""
-        n = self.F.shape[-1]
-        eye = torch.eye(n, dtype=self.F.dtype, device=self.F.device)
-        return torch.cat([eye.expand(self.F.shape), self.theta], dim=-2)
 
 
 def _trace(a: Tensor, b: Tensor) -> Tensor:
@@ -150,25 +138,29 @@ class LinearIgnorance:
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
-        F, G, theta = linear_loop(self.model, self.policy, model, policy, self.horizon.dt)
+        linear = linear_loop(self.model, self.policy, model, policy, self.horizon.dt)
+        theta, shape = linear.theta, linear.drift.shape
         costs_actions, R = self.reward.costs_actions, self.reward.action_cost
-        cost = self.reward.state_cost.expand(F.shape)
+        cost = linear.square(self.reward.state_cost).expand(shape)
         if costs_actions:
             cost = cost + theta.mT @ R @ theta
+        # What the model's features have of (1, s) or s: all but the last m, which are the actions.
+        seen = noise["P"].shape[-1] - theta.shape[-2]
+        rows = torch.eye(shape[-1], dtype=cost.dtype, device=cost.device)[shape[-1] - seen :]
         loop = UncertainLoop(
-            F,
-            G,
-            theta,
-            self.model.noise_over(noise["nu"], self.horizon.dt),
+            closed(linear.drift, linear.G, theta),
+            torch.cat([rows.expand(shape[0], *rows.shape), theta], dim=-2),
+            linear.square(self.model.noise_over(noise["nu"], self.horizon.dt)),
             noise["P"],
             self.noise.stretch,
             cost,
         )
-        start = Belief(state, self.start_cov.expand(*state.shape, state.shape[-1]))
+        start = Belief(linear.start(state), linear.square(self.start_cov).expand(shape))
         found = self.passes(loop, start, self.horizon.weights())
-        gradient = G.mT @ found.through
+        gradient = linear.G.mT @ found.through
         known = loop.P @ loop.features @ found.ignorance
-        gradient = gradient - 2 * known[..., state.shape[-1] :, :]
+        gradient = gradient - 2 * known[..., seen:, :]
         if costs_actions:
             gradient = gradient - 2 * R @ theta @ found.weighted
-        return ValueGradient(-(cost * found.weighted).sum((-1, -2)), {"weight": gradient})
+        value = -(cost * found.weighted).sum((-1, -2))
+        return ValueGradient(value, {"weight": linear.of_weight(gradient)})

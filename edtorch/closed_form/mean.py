@@ -15,17 +15,17 @@ after the step with k each lambda_tau holds 2k terms).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from edtorch.closed_form.linear import linear_loop
+from edtorch.closed_form.linear import closed, linear_loop
 from edtorch.models import Model
 from edtorch.policies import LinearPolicy
-from edtorch.rewards import QuadraticReward
 from edtorch.types import Parameters
-from edtorch.unroll import Horizon, ValueGradient
+from edtorch.unroll import ValueGradient
 
 
 def powers_of_two(matrix: Tensor, steps: int) -> list[Tensor]:
@@ -60,7 +60,7 @@ def adjoint_states(powers: list[Tensor], sources: Tensor) -> Tensor:
 
 
 def mean_value_and_gradient(
-    F: Tensor,
+    drift: Tensor,
     G: Tensor,
     theta: Tensor,
     start: Tensor,
@@ -69,17 +69,17 @@ def mean_value_and_gradient(
     action_cost: Tensor | None,
     weights: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """V = -sum_tau w_tau s_tau'(Q + theta'R theta)s_tau along s' = (F + G theta) s, and dV/dtheta.
+    """V = -sum_tau w_tau s_tau'(Q + theta'R theta)s_tau along s' = A s, and dV/dtheta.
 
-    F ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start ``[B, n]``, state_cost Q
-    ``[n, n]``, action_cost R ``[m, m]`` or None for zero, weights w ``[T]``.  Returns V ``[B]`` and
-    its gradient ``[B, m, n]``.
+    A = I + drift + G theta; drift ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start
+    ``[B, n]``, state_cost Q ``[n, n]``, action_cost R ``[m, m]`` or None for zero, weights w
+    ``[T]``.  Returns V ``[B]`` and its gradient ``[B, m, n]``.
     """
     steps = len(weights)
-    cost = state_cost.expand(F.shape)
+    cost = state_cost.expand(drift.shape)
     if action_cost is not None:
         cost = cost + theta.mT @ action_cost @ theta
-    powers = powers_of_two(torch.baddbmm(F, G, theta), steps)
+    powers = powers_of_two(closed(drift, G, theta), steps)
     states = forward_states(powers, start, steps)
     before, after = states[..., :-1], states[..., 1:]
     pull = torch.bmm(cost, after) * weights
@@ -97,25 +97,22 @@ def mean_value_and_gradient(
 
 @dataclass(frozen=True)
 class LinearMeanOnly:
-    """A ``ValuePath`` for linear model and policy, quadratic reward, mean-only transform."""
+    """A ``ValuePath`` for linear model and policy, quadratic reward, mean-only transform.
+
+    dt: seconds of one step of the unroll; solve: (drift, G, theta, start) to value and gradient,
+    ``mean_value_and_gradient`` or another way to the same, with costs and weights bound.
+    """
 
     model: Model
     policy: LinearPolicy
-    reward: QuadraticReward
-    horizon: Horizon
-    weights: Tensor
+    dt: float
+    solve: Callable[[Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
     needs_autograd: bool = False
 
     def __call__(
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
-        loop = linear_loop(self.model, self.policy, model, policy, self.horizon.dt)
-        value, gradient = mean_value_and_gradient(
-            *loop,
-            state,
-            state_cost=self.reward.state_cost,
-            action_cost=self.reward.action_cost if self.reward.costs_actions else None,
-            weights=self.weights,
-        )
-        return ValueGradient(value, {"weight": gradient})
+        loop = linear_loop(self.model, self.policy, model, policy, self.dt)
+        value, gradient = self.solve(loop.drift, loop.G, loop.theta, loop.start(state))
+        return ValueGradient(value, {"weight": loop.of_weight(gradient)})

@@ -13,18 +13,18 @@ of their own: with the second moment X = mean mean' + cov (section 3, f'; exact 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from edtorch.closed_form.linear import linear_loop
+from edtorch.closed_form.linear import closed, linear_loop
 from edtorch.models import Model
 from edtorch.noise import Noise
 from edtorch.policies import LinearPolicy
-from edtorch.rewards import QuadraticReward
 from edtorch.types import Belief, Parameters
-from edtorch.unroll import Horizon, ValueGradient
+from edtorch.unroll import ValueGradient
 
 
 def second_moments(A: Tensor, start: Tensor, noise: Tensor, steps: int) -> tuple[Tensor, Tensor]:
@@ -41,7 +41,7 @@ def second_moments(A: Tensor, start: Tensor, noise: Tensor, steps: int) -> tuple
 
 
 def moment_value_and_gradient(
-    F: Tensor,
+    drift: Tensor,
     G: Tensor,
     theta: Tensor,
     start: Belief,
@@ -53,16 +53,17 @@ def moment_value_and_gradient(
 ) -> tuple[Tensor, Tensor]:
     """V = -sum_tau w_tau tr((Q + theta'R theta) X_tau) and dV/dtheta.
 
-    F ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start: a belief of ``[B, n]``, noise nu
-    over one step ``[B, n, n]``, state_cost Q ``[n, n]``, action_cost R ``[m, m]`` or None for zero,
-    weights w ``[T]``.  Returns V ``[B]`` and its gradient ``[B, m, n]``.
+    A = I + drift + G theta; drift ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start: a
+    belief of ``[B, n]``, noise nu over one step ``[B, n, n]``, state_cost Q ``[n, n]``, action_cost
+    R ``[m, m]`` or None for zero, weights w ``[T]``.  Returns V ``[B]`` and its gradient
+    ``[B, m, n]``.
     """
     factors = weights.tolist()
     steps = len(factors)
-    cost = state_cost.expand(F.shape)
+    cost = state_cost.expand(drift.shape)
     if action_cost is not None:
         cost = cost + theta.mT @ action_cost @ theta
-    A = torch.baddbmm(F, G, theta)
+    A = closed(drift, G, theta)
     transposed = A.mT
     first = start.mean.unsqueeze(-1) * start.mean.unsqueeze(-2) + start.cov
     moments, products = second_moments(A, first, noise, steps)
@@ -83,15 +84,15 @@ def moment_value_and_gradient(
 class LinearMoment:
     """A ``ValuePath`` for linear model and policy, quadratic reward, constant noise, first order.
 
+    dt and solve as in ``LinearMeanOnly``, solve with (start belief, noise over a step) at its end;
     noise: the rule for nu~, a constant one; start_cov: covariance of the belief that the unroll
     starts from, ``[n, n]``.
     """
 
     model: Model
     policy: LinearPolicy
-    reward: QuadraticReward
-    horizon: Horizon
-    weights: Tensor
+    dt: float
+    solve: Callable[[Tensor, Tensor, Tensor, Belief, Tensor], tuple[Tensor, Tensor]]
     noise: Noise
     start_cov: Tensor
     needs_autograd: bool = False
@@ -100,13 +101,8 @@ class LinearMoment:
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.unroll.ValuePath``; ValueError if the closed loop is not linear."""
-        loop = linear_loop(self.model, self.policy, model, policy, self.horizon.dt)
-        value, gradient = moment_value_and_gradient(
-            *loop,
-            Belief(state, self.start_cov.expand(*state.shape, state.shape[-1])),
-            self.model.noise_over(self.noise.covariance(noise, state), self.horizon.dt),
-            state_cost=self.reward.state_cost,
-            action_cost=self.reward.action_cost if self.reward.costs_actions else None,
-            weights=self.weights,
-        )
-        return ValueGradient(value, {"weight": gradient})
+        loop = linear_loop(self.model, self.policy, model, policy, self.dt)
+        nu = self.model.noise_over(self.noise.covariance(noise, state), self.dt)
+        start = Belief(loop.start(state), loop.square(self.start_cov).expand(loop.drift.shape))
+        value, gradient = self.solve(loop.drift, loop.G, loop.theta, start, loop.square(nu))
+        return ValueGradient(value, {"weight": loop.of_weight(gradient)})

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from edtorch.checkpoint import write_atomically
-from edtorch.interact import Episode
+from edtorch.records import Episode
 from sims.base import Outcome
 
 MARKS = {

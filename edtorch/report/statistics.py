@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from edtorch.interact import Episode
+from edtorch.records import Episode
 from sims.base import Outcome
 
 

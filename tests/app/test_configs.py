@@ -18,8 +18,9 @@ import conf
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
 from edtorch.evaluation import evaluate
-from edtorch.interact import Budget, Training
+from edtorch.interact import Training
 from edtorch.learner import Learner
+from edtorch.records import Budget
 from edtorch.unroll import Horizon
 from sims.base import Outcome
 from sims.bicycle import Bicycle

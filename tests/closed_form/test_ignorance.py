@@ -7,9 +7,10 @@ import torch
 
 from edtorch.closed_form import LinearIgnorance, LinearMoment
 from edtorch.dispatch import choose_path
+from edtorch.features import Affine, Identity
 from edtorch.noise import BayesianNoise, ResidualNoise
 from edtorch.transform import Cubature, FirstOrder, SecondOrder, Transform
-from tests.systems import linear_case, random_cost
+from tests.systems import Features, LinearCase, linear_case, random_cost, same_value_and_gradient
 
 
 @pytest.mark.oracle
@@ -19,11 +20,25 @@ from tests.systems import linear_case, random_cost
 def test_equals_the_generic_path(
     n: int, m: int, steps: int, action_cost: bool, transform: Transform
 ) -> None:
-    case = linear_case(n, m, steps, action_cost=action_cost)
+    check_paths(linear_case(n, m, steps, action_cost=action_cost), n, transform)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("transform", [FirstOrder(), Cubature()])
+@pytest.mark.parametrize("features", [(Affine, Identity), (Identity, Affine), (Affine, Affine)])
+def test_constant_terms_are_states_that_stay_one(
+    features: tuple[Features, Features], transform: Transform
+) -> None:
+    check_paths(linear_case(3, 2, 5, action_cost=True, features=features), 3, transform)
+
+
+def check_paths(case: LinearCase, n: int, transform: Transform) -> None:
+    """The closed form against the generic path, with a start belief."""
     g = torch.Generator().manual_seed(0)
+    k = case.generic.model.weight.shape[-1]
     noise = {
         "nu": random_cost(g, n).expand(3, n, n).clone(),
-        "P": random_cost(g, n + m).expand(3, n + m, n + m).clone(),
+        "P": random_cost(g, k).expand(3, k, k).clone(),
     }
     old = case.generic
     choice = choose_path(
@@ -38,11 +53,7 @@ def test_equals_the_generic_path(
     )
     assert isinstance(choice.path, LinearIgnorance) and "does not know" in choice.reason
     arguments = (case.model, case.policy, noise, case.state)
-    wanted, found = choice.generic(*arguments), choice.path(*arguments)
-    assert torch.allclose(found.value, wanted.value, rtol=1e-9, atol=0)
-    difference = found.gradient["weight"] - wanted.gradient["weight"]
-    size = wanted.gradient["weight"].flatten(1).norm(dim=-1)
-    assert bool((difference.flatten(1).norm(dim=-1) <= 1e-9 * size).all())
+    same_value_and_gradient(choice.path(*arguments), choice.generic(*arguments), 1e-9)
 
 
 @pytest.mark.parametrize("transform", [FirstOrder(), Cubature()])

@@ -143,11 +143,25 @@ def test_gradient_ascent_on_the_learners_value_finds_the_regulator() -> None:
     weights = torch.ones(120, dtype=torch.float64)
     start = Belief(0 * mean.unsqueeze(0), 0 * cov.unsqueeze(0))
     _, gradient = moment_value_and_gradient(
-        F[None], G[None], gain[None], start, W[None], state_cost=Q, action_cost=R, weights=weights
+        F[None] - torch.eye(len(F)),
+        G[None],
+        gain[None],
+        start,
+        W[None],
+        state_cost=Q,
+        action_cost=R,
+        weights=weights,
     )
     off = gain + 0.1
     _, away = moment_value_and_gradient(
-        F[None], G[None], off[None], start, W[None], state_cost=Q, action_cost=R, weights=weights
+        F[None] - torch.eye(len(F)),
+        G[None],
+        off[None],
+        start,
+        W[None],
+        state_cost=Q,
+        action_cost=R,
+        weights=weights,
     )
     # What is left at the top is what the ends of a finite horizon ask for.
     assert float(gradient.norm()) < 0.05 * float(away.norm())

@@ -8,11 +8,19 @@ from torch import Tensor
 
 from edtorch.closed_form import LinearMoment, mean_value_and_gradient, moment_value_and_gradient
 from edtorch.closed_form.moment import second_moments
+from edtorch.dispatch import choose_path
+from edtorch.features import Affine, Identity
 from edtorch.noise import ResidualNoise
 from edtorch.transform import Cubature, FirstOrder, Transform
 from edtorch.types import Belief
-from edtorch.unroll import Generic
-from tests.systems import linear_case, normal, random_cost
+from tests.systems import (
+    Features,
+    LinearCase,
+    linear_case,
+    normal,
+    random_cost,
+    same_value_and_gradient,
+)
 
 SIZES = [(5, 2, 30), (5, 2, 1), (5, 2, 2), (7, 3, 17), (1, 1, 5), (14, 5, 12)]
 
@@ -24,27 +32,28 @@ SIZES = [(5, 2, 30), (5, 2, 1), (5, 2, 2), (7, 3, 17), (1, 1, 5), (14, 5, 12)]
 def test_equals_the_generic_path(
     n: int, m: int, steps: int, action_cost: bool, transform: Transform
 ) -> None:
-    case = linear_case(n, m, steps, action_cost=action_cost)
+    check_paths(linear_case(n, m, steps, action_cost=action_cost), n, transform)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("features", [(Affine, Identity), (Identity, Affine), (Affine, Affine)])
+def test_constant_terms_are_states_that_stay_one(
+    features: tuple[Features, Features],
+) -> None:
+    check_paths(linear_case(4, 2, 9, action_cost=True, features=features), 4, FirstOrder())
+
+
+def check_paths(case: LinearCase, n: int, transform: Transform) -> None:
+    """The closed form and its compiler's form against the generic path, with noise and a start."""
     g = torch.Generator().manual_seed(0)
     noise = {"nu": random_cost(g, n).expand(3, n, n).clone()}
     old, rule = case.generic, ResidualNoise(1.0)
-    start = random_cost(g, n)
-    generic = Generic(old.model, old.policy, old.reward, transform, old.horizon, rule, start)
-    closed = LinearMoment(
-        old.model,
-        old.policy,
-        case.closed.reward,
-        old.horizon,
-        case.closed.weights,
-        rule,
-        start,
-    )
+    parts = (old.model, old.policy, case.reward, transform, old.horizon)
+    choice = choose_path("closed_form", *parts, noise=rule, start_cov=random_cost(g, n))
+    assert isinstance(choice.path, LinearMoment) and isinstance(choice.compiled, LinearMoment)
     arguments = (case.model, case.policy, noise, case.state)
-    wanted, found = generic(*arguments), closed(*arguments)
-    assert torch.allclose(found.value, wanted.value, rtol=1e-10, atol=0)
-    difference = found.gradient["weight"] - wanted.gradient["weight"]
-    size = wanted.gradient["weight"].flatten(1).norm(dim=-1)
-    assert bool((difference.flatten(1).norm(dim=-1) <= 1e-10 * size).all())
+    for path in (choice.path, choice.compiled):
+        same_value_and_gradient(path(*arguments), choice.generic(*arguments))
 
 
 def value(
@@ -52,7 +61,14 @@ def value(
 ) -> Tensor:
     weights = torch.tensor([0.9**t for t in range(8)], dtype=torch.float64)
     return moment_value_and_gradient(
-        F, G, theta, start, noise, state_cost=cost, action_cost=cost[:2, :2], weights=weights
+        F - torch.eye(4),
+        G,
+        theta,
+        start,
+        noise,
+        state_cost=cost,
+        action_cost=cost[:2, :2],
+        weights=weights,
     )[0]
 
 
@@ -68,7 +84,14 @@ def test_gradient_with_an_initial_covariance_against_finite_differences() -> Non
     weights = torch.tensor([0.9**t for t in range(8)], dtype=torch.float64)
     start = Belief(mean, cov)
     _, gradient = moment_value_and_gradient(
-        F, G, theta, start, noise, state_cost=cost, action_cost=cost[:2, :2], weights=weights
+        F - torch.eye(4),
+        G,
+        theta,
+        start,
+        noise,
+        state_cost=cost,
+        action_cost=cost[:2, :2],
+        weights=weights,
     )
     for i, j in [(0, 0), (1, 2), (0, 3)]:
         shift = torch.zeros_like(theta)
@@ -81,7 +104,7 @@ def test_without_noise_and_covariance_it_is_the_mean_alone() -> None:
     F, G, theta, mean, cov, noise, cost = case()
     weights = torch.tensor([0.9**t for t in range(8)], dtype=torch.float64)
     both = moment_value_and_gradient(
-        F,
+        F - torch.eye(4),
         G,
         theta,
         Belief(mean, torch.zeros_like(cov)),
@@ -91,7 +114,7 @@ def test_without_noise_and_covariance_it_is_the_mean_alone() -> None:
         weights=weights,
     )
     alone = mean_value_and_gradient(
-        F, G, theta, mean, state_cost=cost, action_cost=None, weights=weights
+        F - torch.eye(4), G, theta, mean, state_cost=cost, action_cost=None, weights=weights
     )
     assert torch.allclose(both[0], alone[0], rtol=1e-11)
     assert torch.allclose(both[1], alone[1], rtol=1e-9)

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from edtorch.interact import Episode
+from edtorch.records import Episode
 from edtorch.report.figures import Ride, learning_curve, save_figure, unwrapped_strokes
 from sims.base import Outcome
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from edtorch.interact import Episode
+from edtorch.records import Episode
 from edtorch.report.statistics import (
     FirstRide,
     Spread,

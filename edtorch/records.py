@@ -1,0 +1,69 @@
+"""What a run keeps of its learners: budgets, finished episodes, snapshots.  Plain numbers only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sims.base import Outcome
+
+RIDES = (Outcome.SUCCEEDED, Outcome.TIMED_OUT)
+"""A ride: the goal was reached, or the time limit without a failure."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a learner may use; whichever ends first ends it.  None: unlimited.
+
+    seconds: simulated; episodes: ended in any way; rides: see ``RIDES``.
+    """
+
+    seconds: float | None = None
+    episodes: int | None = None
+    rides: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.seconds is None and self.episodes is None and self.rides is None:
+            raise ValueError("no budget: give seconds, episodes or rides")
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One finished episode of one learner (or of one evaluated policy).
+
+    row: the learner's place in the population; start: simulated seconds of learning before it;
+    seconds: its length; measures: the sim's own figures of it; trail: first and last index
+    (exclusive) of its states in the ``Trail``, both 0 for learners that leave none.
+    """
+
+    row: int
+    number: int
+    start: float
+    seconds: float
+    outcome: Outcome
+    measures: dict[str, float]
+    trail: tuple[int, int] = (0, 0)
+
+    @property
+    def is_ride(self) -> bool:
+        """Whether it counts as a ride."""
+        return self.outcome in RIDES
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The population at one moment, per learner; value, gradient and error are means since the
+    snapshot before (NaN for a learner that did not learn in between).  value_error: the value error
+    estimate, where it was asked for."""
+
+    seconds: float
+    seeds: list[int]
+    active: list[bool]
+    episodes: list[int]
+    falls: list[int]
+    rides: list[int]
+    episode_seconds: list[float]
+    value: list[float]
+    gradient: list[float]
+    error: list[float]
+    policy_norm: list[float]
+    value_error: list[float] | None = None
