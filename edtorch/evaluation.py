@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import torch
+from torch import Tensor
 
-from edtorch.policies import LinearPolicy
 from edtorch.records import Episode
 from edtorch.streams import Purpose, Streams, stream_key
 from edtorch.types import Parameters, select
@@ -14,8 +15,16 @@ from edtorch.world import World
 from sims.base import Outcome
 
 
+class Actor(Protocol):
+    """What can be evaluated: a policy, or a policy and the model that carries out its wishes."""
+
+    def action(self, parameters: Parameters, observation: Tensor) -> Tensor:
+        """The action ``[*batch, m]`` for observations ``[*batch, n]``, both scaled."""
+        ...
+
+
 def evaluate(
-    policy: LinearPolicy,
+    policy: Actor,
     parameters: Parameters,
     world: World,
     seeds: Sequence[int],

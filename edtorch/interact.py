@@ -182,7 +182,7 @@ class Training:
 
     def advance(self, ticks: int) -> int:
         """Run up to ``ticks`` ticks, fewer if everybody is done before; returns how many."""
-        with torch.no_grad() if self.learner.value.needs_autograd else torch.inference_mode():
+        with torch.no_grad() if self.learner.needs_autograd else torch.inference_mode():
             return self._advance(ticks)
 
     def _advance(self, ticks: int) -> int:

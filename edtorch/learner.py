@@ -92,6 +92,15 @@ class Learner:
             sound_ticks=torch.zeros(size, dtype=torch.int64),
         )
 
+    @property
+    def needs_autograd(self) -> bool:
+        """Whether torch's differentiation must be at work."""
+        return self.value.needs_autograd
+
+    def acting(self, state: LearnerState) -> Parameters:
+        """What ``policy.action`` needs of a state."""
+        return state.policy
+
     def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:
         """pi(s) plus exploration, ``[B, m]`` in scaled units; normal ``[B, m]`` standard normal."""
         return explore(self.policy.action(state.policy, observation), normal, self.exploration)

@@ -128,7 +128,8 @@ class Tick:
         state = self.world.step(worlds.world, action, draw.uniform)
         observation = self.world.observe(state)
         seconds = self.world.seconds
-        transition = Transition(worlds.observation, action, observation, seconds, active)
+        applied = self.world.applied(state, action)
+        transition = Transition(worlds.observation, applied, observation, seconds, active)
         learners, metrics = self.learner.step(here.learners, transition)
         state = select(active, state, worlds.world)
         observation = select(active, observation, worlds.observation)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sims.base import Outcome, Sim
+from sims.base import Actuated, Outcome, Sim
 
 
 class World:
@@ -58,6 +58,12 @@ class World:
         physical = (action * self._action_scale).to(torch.float64)
         disturbance = uniform[..., : self.spec.disturbance_dim].to(torch.float64)
         return self.sim.step(state, physical, disturbance)
+
+    def applied(self, state: Tensor, action: Tensor) -> Tensor:
+        """The scaled action that the step to ``state`` applied; ``action`` if the sim cannot say."""
+        if not isinstance(self.sim, Actuated):
+            return action
+        return self.sim.applied(state).to(self.dtype) / self._action_scale
 
     def outcome(self, state: Tensor, ticks: Tensor) -> Tensor:
         """``Outcome`` of each episode, ``[B]``, its time limit included; ticks ``[B]`` so far."""
