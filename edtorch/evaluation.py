@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
+from edtorch.learner import Actor
 from edtorch.records import Episode
 from edtorch.streams import Purpose, Streams, stream_key
 from edtorch.types import Parameters, select
 from edtorch.world import World
 from sims.base import Outcome
 
-
-class Actor(Protocol):
-    """What can be evaluated: a policy, or a policy and the model that carries out its wishes."""
-
-    def action(self, parameters: Parameters, observation: Tensor) -> Tensor:
-        """The action ``[*batch, m]`` for observations ``[*batch, n]``, both scaled."""
-        ...
+Watch = Callable[[Tensor], None]
+"""Is shown the sim's states ``[S episodes, k]`` after each tick; those of an episode that has ended
+stay as they are."""
 
 
 def evaluate(
@@ -29,15 +25,48 @@ def evaluate(
     world: World,
     seeds: Sequence[int],
     episodes: int,
+    *,
+    purpose: Purpose = Purpose.EVALUATION,
+    watch: Watch | None = None,
 ) -> list[list[Episode]]:
     """Run ``episodes`` fresh episodes of each policy, without exploration and without learning.
 
     parameters: ``[S, ...]``, one policy per seed.  Returns the episodes of each policy, in order;
-    episode e of a seed is the same whatever else is evaluated beside it.
+    episode e of a seed is the same whatever else is evaluated beside it.  watch: see ``Watch``.
     """
-    keys = [stream_key(s, Purpose.EVALUATION, e) for s in seeds for e in range(episodes)]
-    streams = Streams(keys, world.uniforms, 0, world.dtype)
     expanded = {k: p.repeat_interleave(episodes, dim=0) for k, p in parameters.items()}
+
+    def act(state: Tensor, observation: Tensor) -> Tensor:
+        return policy.action(expanded, observation)
+
+    return _run(act, world, seeds, episodes, purpose, watch)
+
+
+def evaluate_yardstick(
+    control: Callable[[Tensor], Tensor], world: World, seeds: Sequence[int], episodes: int
+) -> list[list[Episode]]:
+    """The same episodes with a controller that sees all: states ``[N, k]`` to actions ``[N, m]``,
+    physical units (``sims.base.Measured``)."""
+    return _run(
+        lambda state, observation: world.scaled(control(state)),
+        world,
+        seeds,
+        episodes,
+        Purpose.EVALUATION,
+        None,
+    )
+
+
+def _run(
+    act: Callable[[Tensor, Tensor], Tensor],
+    world: World,
+    seeds: Sequence[int],
+    episodes: int,
+    purpose: Purpose,
+    watch: Watch | None,
+) -> list[list[Episode]]:
+    keys = [stream_key(s, purpose, e) for s in seeds for e in range(episodes)]
+    streams = Streams(keys, world.uniforms, 0, world.dtype)
     finished: list[list[Episode]] = [[] for _ in seeds]
     with torch.inference_mode():
         start = state = world.initial(streams.at(0).uniform)
@@ -47,8 +76,10 @@ def evaluate(
         while bool(active.any()):
             clock += 1
             draw = streams.at(int(clock))
-            action = world.clip(policy.action(expanded, observation))
+            action = world.clip(act(state, observation))
             state = select(active, world.step(state, action, draw.uniform), state)
+            if watch is not None:
+                watch(state)
             observation = world.observe(state)
             outcome = world.outcome(state, clock)
             ended = active & (outcome != int(Outcome.RUNNING))

@@ -12,7 +12,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from edtorch.learner import Learner
+from edtorch.learner import AnyLearner
 from edtorch.records import Budget, Episode, Snapshot
 from edtorch.streams import Purpose, Streams, stream_key
 from edtorch.tick import Experience, Population, Tick
@@ -117,7 +117,7 @@ class Training:
 
     def __init__(
         self,
-        learner: Learner,
+        learner: AnyLearner,
         world: World,
         seeds: Sequence[int],
         budget: Budget,

@@ -29,6 +29,7 @@ from torch import Tensor
 from torch._inductor import aoti_compile_and_package, aoti_load_package
 from torch.utils import _pytree as pytree
 
+from edtorch.learner import Learner
 from edtorch.streams import Draw
 from edtorch.tick import Population, Tick
 
@@ -225,7 +226,10 @@ def _processor() -> str:
 
 def _source_files(tick: Tick) -> list[Path]:
     """The code that a tick is made of: edtorch, sims, and wherever else its parts come from."""
-    parts = (tick.world.sim, tick.learner.model.features, tick.learner.policy, tick.learner.fit)
+    learner = tick.learner
+    if not isinstance(learner, Learner):
+        raise CannotCompile(f"{type(learner).__name__} asks tensors for numbers")
+    parts = (tick.world.sim, learner.model.features, learner.policy, learner.fit)
     packages = {type(part).__module__.partition(".")[0] for part in parts}
     files: set[Path] = set()
     for name in packages | {"edtorch", "sims"}:

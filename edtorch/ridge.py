@@ -1,7 +1,7 @@
 """Ridge least squares in information form: sums of products, solved now and then.
 
-A rule of ``edtorch.fit`` for many features.  A recursion for the covariance of the weights costs k^2
-for every sample and loses its positive definiteness in the long run; sums keep theirs, and a block
+A rule of ``edtorch.fit`` for many features.  A recursion for the weights' covariance costs k^2 for
+every sample and loses its positive definiteness in the long run; sums keep theirs, and a block
 of samples enters them by one product of matrices.
 """
 

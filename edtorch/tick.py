@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.learner import Check, Learner
+from edtorch.learner import AnyLearner, Check
 from edtorch.records import Budget
 from edtorch.streams import Draw
 from edtorch.types import LearnerState, Metrics, Transition, replace, select, tree_dataclass
@@ -96,7 +96,7 @@ class Population:
 class Tick:
     """What all ticks of a training have in common."""
 
-    learner: Learner
+    learner: AnyLearner
     world: World
     budget: Budget
 

@@ -59,11 +59,15 @@ class World:
         disturbance = uniform[..., : self.spec.disturbance_dim].to(torch.float64)
         return self.sim.step(state, physical, disturbance)
 
+    def scaled(self, action: Tensor) -> Tensor:
+        """An action in physical units ``[B, m]``, scaled."""
+        return action.to(self.dtype) / self._action_scale
+
     def applied(self, state: Tensor, action: Tensor) -> Tensor:
-        """The scaled action that the step to ``state`` applied; ``action`` if the sim cannot say."""
+        """What the step to ``state`` applied, scaled; ``action`` if the sim cannot say."""
         if not isinstance(self.sim, Actuated):
             return action
-        return self.sim.applied(state).to(self.dtype) / self._action_scale
+        return self.scaled(self.sim.applied(state))
 
     def outcome(self, state: Tensor, ticks: Tensor) -> Tensor:
         """``Outcome`` of each episode, ``[B]``, its time limit included; ticks ``[B]`` so far."""

@@ -7,7 +7,7 @@ episode, whatever the batch.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -152,6 +152,15 @@ class Invertible(Protocol):
     def inverse_dynamics(self, state: Tensor, acceleration: Tensor) -> Tensor:
         """The action ``[*batch, m]`` that gives the components ``spec.tracked`` the second
         derivatives ``acceleration`` ``[*batch, len(tracked)]`` in ``state``, not clipped."""
+        ...
+
+
+@runtime_checkable
+class Measured(Protocol):
+    """A sim that has controllers of its own to measure learners against."""
+
+    def yardsticks(self) -> Mapping[str, Callable[[Tensor], Tensor]]:
+        """By name: full states ``[*batch, k]`` to actions ``[*batch, m]``, physical units."""
         ...
 
 

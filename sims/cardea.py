@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import torch
@@ -270,6 +270,12 @@ class Cardea:
             self._robot.inverse_dynamics(row, a) for row, a in zip(rows, wanted, strict=True)
         ]
         return torch.from_numpy(np.stack(torques)).reshape(acceleration.shape)
+
+    def yardsticks(self) -> dict[str, Callable[[Tensor], Tensor]]:
+        """The controllers of ``sims.cardea_yardsticks``."""
+        from sims.cardea_yardsticks import YARDSTICKS
+
+        return {name: partial(control, self) for name, control in YARDSTICKS.items()}
 
     def chain(self) -> Chain:
         """The arm's joints, from the body to the hand, whose origin is the wrist's centre."""

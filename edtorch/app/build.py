@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -13,12 +13,14 @@ from torch import Tensor
 
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.construct import construct
-from edtorch.app.errors import ConfigError, under
+from edtorch.app.errors import ConfigError, under, unknown_key
+from edtorch.app.inverse import build_controller, build_inverse_learner, has_inverse
 from edtorch.checkpoint import PolicyCard
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
 from edtorch.fit import Fit
-from edtorch.learner import Learner
+from edtorch.inverse.controller import InverseController
+from edtorch.learner import AnyLearner, Learner
 from edtorch.models import DerivativeModel, Model
 from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
@@ -27,7 +29,7 @@ from edtorch.rewards import QuadraticReward
 from edtorch.unroll import Horizon
 from edtorch.value_error import ValueErrorIndicator
 from edtorch.world import World
-from sims.base import Quantity, Sim
+from sims.base import Quantity, Sim, Spec, spec_index
 
 FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
     "identity": Identity,
@@ -35,6 +37,8 @@ FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
     "pairwise": Pairwise,
     "trigonometric": Trigonometric,
 }
+FeaturedActor = LinearPolicy | InverseController
+Shapes = dict[str, tuple[int, ...]]
 PRECISIONS = {"float64": torch.float64, "float32": torch.float32}
 
 
@@ -73,6 +77,17 @@ def build_sim(config: Any) -> Sim:
     return construct("domain", config, "initial", "restart", "step", "observe", "outcome")
 
 
+def changed_domain(domain: Any, changes: Any, key: str) -> DictConfig:
+    """The domain's node with the changes asked for under ``key``; unknown names are refused."""
+    if not isinstance(domain, DictConfig):
+        raise ConfigError(f"domain={domain}: expected a mapping with a _target_")
+    known = sorted(str(k) for k in domain if k != "_target_")
+    for name, value in changes.items():
+        if name not in domain:
+            raise ConfigError(unknown_key(f"{key}.{name}={value}", f"{key}.{name}", known))
+    return cast(DictConfig, OmegaConf.merge(domain, changes))
+
+
 def _weights(key: str, config: Mapping[str, float], quantities: tuple[Quantity, ...]) -> Tensor:
     """Diagonal cost in scaled units from weights in physical ones, by name."""
     names = [q.name for q in quantities]
@@ -85,14 +100,27 @@ def _weights(key: str, config: Mapping[str, float], quantities: tuple[Quantity, 
     )
 
 
+def _distance(weight: float, spec: Spec) -> Tensor:
+    """Cost of the squared distance of the tracked components from their goal, scaled units."""
+    if weight > 0 and not spec.goal:
+        raise ConfigError(f"reward.goal={weight}: expected a domain with a goal, not {spec.name}")
+    lacking = torch.zeros(len(spec.goal), len(spec.state), dtype=torch.float64)
+    for names, sign in ((spec.tracked, -1.0), (spec.goal, 1.0)):
+        for row, place in enumerate(spec_index(spec, names)):
+            lacking[row, place] = sign * spec.state[place].scale
+    return weight * lacking.mT @ lacking
+
+
 def build_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticReward:
     """The shaping reward, in scaled units."""
-    if not any(weight > 0 for weight in config.state.values()):
+    at_least("reward.goal", config.goal, 0)
+    if not (config.goal > 0 or any(weight > 0 for weight in config.state.values())):
         names = ", ".join(q.name for q in sim.spec.state)
         raise ConfigError(
             f"reward.state={dict(config.state)}: expected a weight > 0 for one of {names}"
         )
     state = _weights("reward.state", config.state, sim.spec.state)
+    state = state + _distance(config.goal, sim.spec)
     action = _weights("reward.action", config.action, sim.spec.action)
     return QuadraticReward(state.to(dtype), action.to(dtype))
 
@@ -137,7 +165,21 @@ def _build_noise(config: Any, fit: Fit, model: Model, stretch: float) -> Noise:
     return noise
 
 
-def policy_card(sim: Sim, policy: LinearPolicy, seeds: list[int]) -> PolicyCard:
+def build_actor(config: Any, sim: Sim, dtype: torch.dtype) -> tuple[FeaturedActor, Shapes]:
+    """What acts, for one learner, and the shapes of its parameters."""
+    if has_inverse(config):
+        controller = build_controller(config.inverse, sim)
+        n = controller.policy.layout.joints
+        shapes = {
+            "weight": (n, controller.policy.outputs),
+            "inverse": (n, controller.features.outputs),
+        }
+        return controller, shapes
+    policy = build_policy(config.policy, sim, dtype, config.seed)
+    return policy, {name: tuple(p.shape) for name, p in policy.named_parameters()}
+
+
+def policy_card(sim: Sim, policy: FeaturedActor, seeds: list[int]) -> PolicyCard:
     """What a policy of this configuration is made for."""
     spec = sim.spec
     return PolicyCard(
@@ -172,33 +214,11 @@ def _build_budget(config: Any) -> Budget:
     return Budget(config.seconds, config.episodes, config.rides)
 
 
-@dataclass(frozen=True)
-class Setup:
-    """Everything that a training run is made of."""
-
-    learner: Learner
-    world: World
-    seeds: list[int]
-    budget: Budget
-    card: PolicyCard
-    path: str
-    indicator: ValueErrorIndicator | None
-
-
-def build(config: DictConfig) -> Setup:
-    """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
-    check_keys(config)
-    check_numbers(config)
-    check_seeds(config)
-    at_least("eval.episodes", config.eval.episodes, 0)
-    at_least("compute.threads", config.compute.threads, 1)
-    at_least("log.every", config.log.every, 1)
-    at_least("log.checkpoint", config.log.checkpoint, config.log.every)
-    budget = _build_budget(config.train)
-
-    dtype = build_precision(config.compute)
-    sim = build_sim(config.domain)
-    world = World(sim, dtype)
+def _build_forward(
+    config: DictConfig, world: World, dtype: torch.dtype
+) -> tuple[Learner, str, ValueErrorIndicator | None]:
+    """A learner with a forward model, the way to its value, and the indicator of its error."""
+    sim = world.sim
     model = _build_model(config.model, world, dtype, config.seed)
     policy = build_policy(config.policy, sim, dtype, config.seed)
     reward = build_reward(config.reward, sim, dtype)
@@ -260,6 +280,53 @@ def build(config: DictConfig) -> Setup:
             exploration=config.noise.exploration,
         )
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
+    return learner, choice.reason, indicator
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything that a training run is made of; calm: a new world to evaluate in."""
+
+    learner: AnyLearner
+    world: World
+    calm: Callable[[], World]
+    seeds: list[int]
+    budget: Budget
+    card: PolicyCard
+    path: str
+    indicator: ValueErrorIndicator | None
+
+
+def build(config: DictConfig) -> Setup:
+    """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
+    check_keys(config)
+    check_numbers(config)
+    check_seeds(config)
+    at_least("eval.episodes", config.eval.episodes, 0)
+    for place, minutes in enumerate(config.eval.minutes):
+        if not minutes > 0:
+            raise ConfigError(f"eval.minutes[{place}]={minutes}: expected a number > 0")
+    at_least("compute.threads", config.compute.threads, 1)
+    at_least("log.every", config.log.every, 1)
+    at_least("log.checkpoint", config.log.checkpoint, config.log.every)
+    budget = _build_budget(config.train)
+
+    dtype = build_precision(config.compute)
+    sim = build_sim(config.domain)
+    world = World(sim, dtype)
+    evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
+    if config.eval.domain:
+        build_sim(evaluated)
     seeds = [config.seed + k for k in range(config.seeds)]
-    card = policy_card(sim, policy, seeds)
-    return Setup(learner, world, seeds, budget, card, choice.reason, indicator)
+    indicator = None
+    if has_inverse(config):
+        learner = build_inverse_learner(config, sim, dtype)
+        path = "inverse policy, its adjoint written out"
+    else:
+        learner, path, indicator = _build_forward(config, world, dtype)
+    card = policy_card(sim, learner.policy, seeds)
+
+    def calm() -> World:
+        return World(build_sim(evaluated), dtype)
+
+    return Setup(learner, world, calm, seeds, budget, card, path, indicator)

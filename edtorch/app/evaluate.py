@@ -6,7 +6,6 @@ import sys
 import time
 from importlib.resources import files
 from pathlib import Path
-from typing import cast
 
 import hydra
 import torch
@@ -16,29 +15,22 @@ from rich.console import Console
 from rich.table import Table
 
 from edtorch.app import schemas
-from edtorch.app.build import build_policy, build_precision, build_sim, policy_card
+from edtorch.app.build import (
+    build_actor,
+    build_precision,
+    build_sim,
+    changed_domain,
+    policy_card,
+)
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
-from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing, unknown_key
-from edtorch.app.rundir import CONFIG, POLICY, command_line, json_text, load_config, versions
+from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
+from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
 from edtorch.app.signals import Stop
-from edtorch.checkpoint import FileProblem, load_policy, write_text
+from edtorch.checkpoint import load_policy, write_text
 from edtorch.evaluation import evaluate
 from edtorch.records import Episode
 from edtorch.report.statistics import evaluation_figures
 from edtorch.world import World
-
-
-def _domain(folder: Path, run_config: DictConfig, changes: DictConfig) -> DictConfig:
-    """The run's domain with the changes asked for; unknown keys are refused."""
-    domain = run_config.domain
-    if not isinstance(domain, DictConfig):
-        raise FileProblem(f"{folder / CONFIG}: domain={domain}: expected a mapping with a _target_")
-    known = sorted(str(key) for key in domain if key != "_target_")
-    for key, value in changes.items():
-        if key not in domain:
-            raise ConfigError(unknown_key(f"domain.{key}={value}", f"domain.{key}", known))
-    merged = OmegaConf.merge(domain, changes)
-    return cast(DictConfig, merged)
 
 
 def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
@@ -88,11 +80,10 @@ def _evaluate(config: DictConfig) -> float:
             else ConfigError(f"policy={path}: no such file")
         )
     dtype = build_precision(run_config.compute)
-    sim = build_sim(_domain(folder, run_config, config.domain))
+    sim = build_sim(changed_domain(run_config.domain, config.domain, "domain"))
     world = World(sim, dtype)
-    policy = build_policy(run_config.policy, sim, dtype, run_config.seed)
+    policy, shapes = build_actor(run_config, sim, dtype)
     seeds = [run_config.seed + k for k in range(run_config.seeds)]
-    shapes = {name: tuple(p.shape) for name, p in policy.named_parameters()}
     parameters = load_policy(path, policy_card(sim, policy, seeds), shapes)
 
     began = time.monotonic()

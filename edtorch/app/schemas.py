@@ -154,6 +154,49 @@ class BayesianFitConfig:
 
 
 @dataclass
+class RidgeConfig:
+    """``edtorch.ridge.Ridge``."""
+
+    _target_: str = MISSING
+    penalty: float = 0.01
+    every: int = 25
+    later: int = 100
+    settled: int = 3000
+
+
+@dataclass
+class NoInverseConfig:
+    """A forward model and a policy of actions."""
+
+    variant: str = "none"
+
+
+@dataclass
+class InverseConfig:
+    """variant: learned or kinematic; features: name of those of the inverse model, or a
+    ``_target_``; form, gain, limit: of the policy, see ``edtorch.inverse.policy.InversePolicy``;
+    every, recent: see ``edtorch.inverse.learner.InverseLearner``; trust: its ``Trust``."""
+
+    variant: str = MISSING
+    features: Any = "structured"
+    form: str = "error"
+    gain: float = 20.0
+    limit: float | None = 30.0
+    every: int = 5
+    recent: int = 10
+    trust_acceleration: float = 100.0
+    trust_speed: float = 10.0
+
+
+@dataclass
+class KinematicConfig(InverseConfig):
+    """Also length and damping: see ``edtorch.inverse.hand.HandCoordinates``."""
+
+    length: float = 0.3
+    damping: float = 0.05
+
+
+@dataclass
 class PolicyConfig:
     """A policy linear in features; ``features`` as in the model."""
 
@@ -163,10 +206,12 @@ class PolicyConfig:
 
 @dataclass
 class RewardConfig:
-    """Minus a weighted sum of squares, physical units: weights by name of state and action."""
+    """Minus a weighted sum of squares, physical units: weights by name of state and action, and
+    that of the distance from the goal, in a domain that has one."""
 
     state: dict[str, float] = field(default_factory=dict)
     action: dict[str, float] = field(default_factory=dict)
+    goal: float = 0.0
 
 
 @dataclass
@@ -223,6 +268,13 @@ class SaturatedStepConfig:
 
 
 @dataclass
+class DecayingStepConfig(SaturatedStepConfig):
+    """``edtorch.update.DecayingStep``."""
+
+    decay: float = MISSING
+
+
+@dataclass
 class PlainStepConfig:
     """``edtorch.update.PlainStep``."""
 
@@ -241,9 +293,12 @@ class BudgetConfig:
 
 @dataclass
 class EvalConfig:
-    """episodes: fresh ones per seed after training; 0: none."""
+    """episodes: fresh ones per seed after training; 0: none; minutes: simulated ones after which
+    there are as many on the way; domain: settings of the domain that are others meanwhile."""
 
     episodes: int = 100
+    minutes: list[float] = field(default_factory=list)
+    domain: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -276,6 +331,7 @@ class TrainConfig:
     model: Any = MISSING
     fit: Any = MISSING
     policy: Any = MISSING
+    inverse: Any = field(default_factory=NoInverseConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     noise: Any = MISSING
     transform: Any = MISSING
@@ -322,6 +378,12 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "normalised_schema": NormalisedFitConfig,
         "least_squares_schema": LeastSquaresConfig,
         "bayesian_schema": BayesianFitConfig,
+        "ridge_schema": RidgeConfig,
+    },
+    "inverse": {
+        "none_schema": NoInverseConfig,
+        "learned_schema": InverseConfig,
+        "kinematic_schema": KinematicConfig,
     },
     "noise": {"noise_schema": NoiseConfig},
     "policy": {"policy_schema": PolicyConfig},
@@ -330,7 +392,11 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "gauss_hermite_schema": GaussHermiteConfig,
         "monte_carlo_schema": MonteCarloConfig,
     },
-    "step": {"saturated_schema": SaturatedStepConfig, "plain_schema": PlainStepConfig},
+    "step": {
+        "saturated_schema": SaturatedStepConfig,
+        "decaying_schema": DecayingStepConfig,
+        "plain_schema": PlainStepConfig,
+    },
 }
 
 

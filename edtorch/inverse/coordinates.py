@@ -15,15 +15,12 @@ class View:
     """An observation in coordinates.
 
     state ``[*batch, 2 (n + p)]`` and goal ``[*batch, n]``: (y, o, dy, do) and the wanted y;
-    joints ``[*batch, 2 (n + p)]``: (q, o, dq, do); pull ``[*batch, n, n]`` and drift ``[*batch, n]``:
-    what ``Coordinates.joint_acceleration`` needs (None in the joints' own).
+    joints ``[*batch, 2 (n + p)]``: (q, o, dq, do).
     """
 
     state: Tensor
     goal: Tensor
     joints: Tensor
-    pull: Tensor | None = None
-    drift: Tensor | None = None
 
 
 class Coordinates(Protocol):

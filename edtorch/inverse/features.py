@@ -1,7 +1,7 @@
-"""Features of an inverse model: products of subsets of the sines and cosines of all angles, the other
-positions, all velocities, the desired accelerations and 1 (paper, section 5).
+"""Features of an inverse model: products of subsets of the sines and cosines of all angles, the
+other positions, all velocities, the desired accelerations and 1 (paper, section 5).
 
-Each map takes a state s = (q, o, dq, do) of a ``Layout`` in physical units, ``[*batch, 2 (n + p)]``,
+Each map takes a state s = (q, o, dq, do) of a ``Layout``, ``[*batch, 2 (n + p)]``, physical units,
 and accelerations of the joints ``[*batch, n]``.  Velocities enter divided by their scales, and
 accelerations by ``ACCELERATION``, so that all features are of order one, as a ridge wants it.
 """
@@ -81,8 +81,8 @@ class Structured:
     theta_i of the links, the sums of the first i bends, whose sines and cosines e are sums of
     products of those of the joints:
 
-    * inertia: {1, e e'} times {1, cos^2, sin cos of the turn} times the accelerations: what the base
-      gives way to, it does along its own axes;
+    * inertia: {1, e e'} times {1, cos^2, sin cos of the turn} times the accelerations: where the
+      base gives way, it does so along its own axes;
     * gravity and the base: {1, sin, cos of the turn} times {1, e} times {1, o, do};
     * velocities in pairs, times {1, e e'}; velocities; and ``Linear``'s features.
     """

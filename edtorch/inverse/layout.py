@@ -1,4 +1,4 @@
-"""Which components of an observation are joints, their rates, the rest of the body, and the goal."""
+"""Which components of an observation are joints, rates, the rest of the body, and the goal."""
 
 from __future__ import annotations
 

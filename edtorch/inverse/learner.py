@@ -53,9 +53,9 @@ def _finite(tensor: Tensor) -> Tensor:
 class InverseLearner:
     """A population of learners of inverse models; what they know is in a ``LearnerState``.
 
-    Its ``model`` has the ``inverse`` W ``[B, n, k]`` and the ``base`` V ``[B, p, r]``, its ``policy``
-    the ``weight`` Theta, its ``step`` the step rule's memory, the last ``states`` and ``goals`` to
-    unroll from, and value and gradient of the last update.
+    Its ``model`` has the ``inverse`` W ``[B, n, k]`` and the ``base`` V ``[B, p, r]``, its
+    ``policy`` the ``weight`` Theta, its ``step`` the step rule's memory, the last ``states`` and
+    ``goals`` to unroll from, and value and gradient of the last update.
 
     fit: of W, to samples weighted by ``trust``; base_fit: of V; every: ticks between two updates of
     the policy; recent: states of the last ticks that an update unrolls from; exploration: standard
@@ -200,11 +200,9 @@ class InverseLearner:
     def _climb(
         self, state: LearnerState, seconds: Tensor, due: Tensor
     ) -> tuple[LearnerState, Tensor]:
-        """Steps 3 to 7 of Fig. 1 for the learners that are ``due``; also what is finite, ``[B]``."""
+        """Steps 3 to 7 of Fig. 1 for the learners that are ``due``; also what is finite."""
         theta, memory = state.policy["weight"], state.step
-        value, gradient = self.unroll(
-            theta, state.model["base"], memory["states"], memory["goals"]
-        )
+        value, gradient = self.unroll(theta, state.model["base"], memory["states"], memory["goals"])
         size = gradient_norm({"weight": gradient})
         value_ok = torch.isfinite(value + size)
         rule = _part(memory, "rule.")

@@ -1,4 +1,4 @@
-"""Inverse policies: from state and goal to the acceleration that the joints should have (section 5)."""
+"""Inverse policies: from state and goal to the accelerations that are wanted (section 5)."""
 
 from __future__ import annotations
 

@@ -1,10 +1,12 @@
-"""The value of an inverse policy and its gradient, by an adjoint written out (Fig. 1, steps 3 to 7).
+"""The value of an inverse policy and its gradient, by an adjoint written out (Fig. 1, 3 to 7).
 
 The inverse model sees to it that the joints accelerate as the policy wants; what is unrolled is
 therefore the policy alone, with a linear model of how the base answers:
 
-    q'  = q + d dq + d^2/2 a,   dq' = dq + d a,   a = A tanh(k Theta z / A)
-    o'  = o + d do + d^2/2 b,   do' = do + d b,   b = V psi(s, a),  psi = (1, o, dq, do, sin q, cos q, a)
+    q' = q + d dq + d^2/2 a,   dq' = dq + d a,   a = A tanh(k Theta z / A)
+    o' = o + d do + d^2/2 b,   do' = do + d b,   b = V psi(s, a)
+
+    psi = (1, o, dq, do, sin q, cos q, a)
 
     value = -sum_tau w_tau |q_tau - g|^2,  tau = 1..T.
 
