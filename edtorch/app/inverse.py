@@ -27,6 +27,8 @@ MEAN_ONLY = "edtorch.transform.MeanOnly"
 
 def has_inverse(config: Any) -> bool:
     """Whether a configuration asks for an inverse model."""
+    if config.inverse is None:
+        return False
     if config.inverse.variant not in VARIANTS:
         raise ConfigError(
             f"inverse.variant={config.inverse.variant}: expected one of {', '.join(VARIANTS)}"

@@ -331,7 +331,7 @@ class TrainConfig:
     model: Any = MISSING
     fit: Any = MISSING
     policy: Any = MISSING
-    inverse: Any = field(default_factory=NoInverseConfig)
+    inverse: Any = None  # as in the runs of before there was such a group: none
     reward: RewardConfig = field(default_factory=RewardConfig)
     noise: Any = MISSING
     transform: Any = MISSING

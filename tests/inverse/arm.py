@@ -16,7 +16,7 @@ JOINTS = ("turn", "first", "second", "third", "roll")
 class Masses:
     """Five unit inertias with a damping of .5 and gravity on the bends, on a base that swings.
 
-    q'' = 8 u - .5 q' - (0, 2 cos q_1, cos(q_1 + q_2), 0, 0),  o'' = -4 o - 2 o' + .1 sum q''.
+    q'' = 4 u - .5 q' - (0, 2 cos q_1, cos(q_1 + q_2), 0, 0),  o'' = -4 o - 2 o' + .1 sum q''.
     The state is the observation; an episode lasts 1 s.
     """
 

@@ -33,7 +33,7 @@ def _learner(features: str = "linear") -> InverseLearner:
     policy = InversePolicy(layout)
     controller = InverseController(policy, FEATURES[features](layout), JointCoordinates(layout))
     unroll = InverseUnroll(policy, Horizon(25, 0.05, 1.0, 0.05))
-    return InverseLearner(controller, unroll, Ridge(), SaturatedStep(0.5, 0.1))
+    return InverseLearner(controller, unroll, Ridge(), SaturatedStep(0.5, 0.1), exploration=0.1)
 
 
 def _train(seeds: list[int], seconds: float, features: str = "linear") -> Training:
@@ -106,7 +106,7 @@ def test_what_is_not_finite_or_not_valid_teaches_nothing() -> None:
 
 
 def test_a_fit_that_diverges_is_skipped_and_told() -> None:
-    learner = replace(_learner(), fit=AbsoluteError(1e308))
+    learner = replace(_learner(), fit=AbsoluteError(float("inf")))
     training = Training(learner, World(Masses()), [0], Budget(seconds=2.0))
     training.advance(10**9)
     assert not bool(training.finite[1, 0])
