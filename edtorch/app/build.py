@@ -20,6 +20,7 @@ from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
 from edtorch.fit import Fit
 from edtorch.inverse.controller import InverseController
+from edtorch.inverse.forward import distance_cost, tracking
 from edtorch.learner import AnyLearner, Learner
 from edtorch.models import DerivativeModel, Model
 from edtorch.noise import BayesianNoise, Noise
@@ -29,7 +30,7 @@ from edtorch.rewards import QuadraticReward
 from edtorch.unroll import Horizon
 from edtorch.value_error import ValueErrorIndicator
 from edtorch.world import World
-from sims.base import Quantity, Sim, Spec, spec_index
+from sims.base import Quantity, Sim, Spec
 
 FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
     "identity": Identity,
@@ -42,7 +43,7 @@ Shapes = dict[str, tuple[int, ...]]
 PRECISIONS = {"float64": torch.float64, "float32": torch.float32}
 
 
-def build_features(key: str, config: Any, inputs: int, seed: int) -> FeatureMap:
+def build_features(key: str, config: Any, inputs: int, spec: Spec, seed: int) -> FeatureMap:
     """A feature map from its name, or from a ``_target_`` with its arguments."""
     if not isinstance(config, DictConfig):
         if config not in FEATURES:
@@ -52,7 +53,9 @@ def build_features(key: str, config: Any, inputs: int, seed: int) -> FeatureMap:
             )
         return FEATURES[config](inputs)
     generator = torch.Generator().manual_seed(seed)
-    more = {"generator": generator} | ({} if "inputs" in config else {"inputs": inputs})
+    more = {"generator": generator, "spec": spec} | (
+        {} if "inputs" in config else {"inputs": inputs}
+    )
     features = construct(key, config, "forward", **more)
     taken = getattr(features, "inputs", None)
     if taken != inputs:
@@ -64,11 +67,13 @@ def build_features(key: str, config: Any, inputs: int, seed: int) -> FeatureMap:
     return features
 
 
-def _features_of(group: str, config: Any, inputs: int, seed: int) -> tuple[FeatureMap, DictConfig]:
+def _features_of(
+    group: str, config: Any, inputs: int, spec: Spec, seed: int
+) -> tuple[FeatureMap, DictConfig]:
     """The feature map of a model or policy, and the rest of its node."""
     if not isinstance(config, DictConfig) or "features" not in config:
         raise ConfigError(f"{group}={config}: expected a mapping with _target_ and features")
-    features = build_features(f"{group}.features", config.features, inputs, seed)
+    features = build_features(f"{group}.features", config.features, inputs, spec, seed)
     return features, OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])
 
 
@@ -104,11 +109,7 @@ def _distance(weight: float, spec: Spec) -> Tensor:
     """Cost of the squared distance of the tracked components from their goal, scaled units."""
     if weight > 0 and not spec.goal:
         raise ConfigError(f"reward.goal={weight}: expected a domain with a goal, not {spec.name}")
-    lacking = torch.zeros(len(spec.goal), len(spec.state), dtype=torch.float64)
-    for names, sign in ((spec.tracked, -1.0), (spec.goal, 1.0)):
-        for row, place in enumerate(spec_index(spec, names)):
-            lacking[row, place] = sign * spec.state[place].scale
-    return weight * lacking.mT @ lacking
+    return weight * distance_cost(spec)
 
 
 def build_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticReward:
@@ -128,7 +129,7 @@ def build_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticReward:
 def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> LinearPolicy:
     """The policy, as a template for one learner."""
     states, actions = len(sim.spec.state), len(sim.spec.action)
-    features, rest = _features_of("policy", config, states, seed)
+    features, rest = _features_of("policy", config, states, sim.spec, seed)
     return construct(
         "policy",
         rest,
@@ -142,7 +143,7 @@ def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> Linear
 
 def _build_model(config: Any, world: World, dtype: torch.dtype, seed: int) -> Model:
     states, actions = len(world.spec.state), len(world.spec.action)
-    features, rest = _features_of("model", config, states + actions, seed)
+    features, rest = _features_of("model", config, states + actions, world.spec, seed)
     return construct(
         "model",
         rest,
@@ -269,18 +270,22 @@ def _build_forward(
         )
     except ValueError as error:
         raise ConfigError(f"unroll.path={config.unroll.path}: {error}") from error
+    path, reason = choice.path, choice.reason
+    tracked = tracking(model, policy, reward, transform, horizon)
+    if tracked is not None and config.unroll.path == "auto":
+        path, reason = tracked, "goal-tracking loop, its adjoint written out"
     with under("noise"):
         learner = Learner(
             model=model,
             policy=policy,
             fit=fit,
             noise=noise,
-            value=choice.path,
+            value=path,
             step_rule=construct("step", config.step, "initial"),
             exploration=config.noise.exploration,
         )
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
-    return learner, choice.reason, indicator
+    return learner, reason, indicator
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ therefore the policy alone, with a linear model of how the base answers:
 
     value = -sum_tau w_tau |q_tau - g|^2,  tau = 1..T.
 
-One step is s' = L (s, sin q, cos q, t) + l with t = tanh(k Theta z / A), so that a step and its
-adjoint are two products of matrices each: autograd takes five times as long.
+This is a loop of ``edtorch.inverse.adjoint``.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from edtorch.inverse.adjoint import Adjoint, Loop, adjoint
 from edtorch.inverse.policy import InversePolicy
 from edtorch.unroll import Horizon
 
@@ -32,6 +32,22 @@ def base_regressor(policy: InversePolicy, state: Tensor, acceleration: Tensor) -
     q = state[..., :n]
     one = torch.ones_like(state[..., :1])
     return torch.cat((one, state[..., n:], q.sin(), q.cos(), acceleration), -1)
+
+
+def driven(policy: InversePolicy, theta: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
+    """K ``[B, n, S]`` and c ``[B, M, n]`` of k Theta z / A = K s + c; goal ``[B, M, n]``."""
+    drive = theta * (policy.gain / policy.unit)
+    of_goal = drive @ policy.of_goal.to(theta)
+    constant = (drive @ policy.constant.to(theta)).unsqueeze(-2)
+    return drive @ policy.of_state.to(theta), goal @ of_goal.mT + constant
+
+
+def by_theta(policy: InversePolicy, found: Adjoint, goal: Tensor) -> Tensor:
+    """dV/dTheta ``[B, n, outputs]``, summed over the M states, of which the goals are ``goal``."""
+    total = found.by_gains @ policy.of_state.to(goal).mT
+    total = total + found.by_offset.mT @ goal @ policy.of_goal.to(goal).mT
+    total = total + found.by_offset.sum(-2).unsqueeze(-1) * policy.constant.to(goal)
+    return total * (policy.gain / policy.unit)
 
 
 @dataclass(frozen=True)
@@ -70,6 +86,10 @@ class InverseUnroll:
         free[:half, half:] = d * eye
         return free, torch.cat((0.5 * d * d * eye, d * eye))
 
+    @cached_property
+    def _angles(self) -> Tensor:
+        return torch.arange(self.policy.layout.joints)
+
     def _step(self, base: Tensor) -> tuple[Tensor, Tensor]:
         """L ``[B, S, S + 3 n]`` and l ``[B, 1, S]`` from V ``[B, p, regressors]``."""
         layout = self.policy.layout
@@ -92,51 +112,14 @@ class InverseUnroll:
         theta ``[B, n, outputs]``, base V ``[B, p, regressors]``, state ``[B, M, 2 (n + p)]``,
         goal ``[B, M, n]``, physical units.
         """
-        policy, n = self.policy, self.policy.layout.joints
-        size, starts = policy.layout.size, state.shape[-2]
-        weights = [w * self.weight for w in self.horizon.weights()]
+        policy = self.policy
         step, shift = self._step(base)
-        rate = policy.gain / policy.unit
-        of_state, of_goal = policy.of_state.to(theta), policy.of_goal.to(theta)
-        gains = rate * (theta @ of_state)
-        constant = rate * (theta @ policy.constant.to(theta)).unsqueeze(-2)
-        offset = rate * (goal @ (theta @ of_goal).mT) + constant
-
-        step_t, gains_t = step.mT.contiguous(), gains.mT.contiguous()
-        path: list[Tensor] = []
-        s, distance = state, []
-        value = state.new_zeros(state.shape[:-1])
-        for w in weights:
-            drive = torch.baddbmm(offset, s, gains_t)
-            t = drive if policy.limit is None else drive.tanh()
-            q = s[..., :n]
-            x = torch.cat((s, q.sin(), q.cos(), t), -1)
-            path.append(x)
-            s = torch.baddbmm(shift, x, step_t)
-            away = s[..., :n] - goal
-            distance.append(away)
-            value = value - w * away.square().sum(-1)
-
-        costate = torch.zeros_like(state)
-        drives: list[Tensor] = []
-        for w, x, away in zip(reversed(weights), reversed(path), reversed(distance), strict=True):
-            costate[..., :n] -= (2 * w) * away
-            pulled = costate @ step
-            by_state, by_sine, by_cosine, by_t = pulled.split((size, n, n, n), -1)
-            sine, cosine, t = x[..., size:].split((n, n, n), -1)
-            by_drive = by_t if policy.limit is None else by_t * (1 - t * t)
-            drives.append(by_drive)
-            costate = torch.baddbmm(by_state, by_drive, gains)
-            costate[..., :n] += by_sine * cosine - by_cosine * sine
-
-        # dV/dTheta = rate sum (dV/d drive) z', with z linear in state and goal.
-        by_drive = torch.cat(drives[::-1], -2)
-        states = torch.cat([x[..., :size] for x in path], -2)
-        total = by_drive.mT @ states @ of_state.mT
-        by_goal = torch.stack(drives).sum(0)
-        total = total + by_goal.mT @ goal @ of_goal.mT
-        total = total + by_goal.sum(-2).unsqueeze(-1) * policy.constant.to(theta)
-        return value.mean(-1), total * (rate / starts)
+        loop = Loop(
+            step, shift, *driven(policy, theta, goal), self._angles, policy.limit is not None
+        )
+        weights = [w * self.weight for w in self.horizon.weights()]
+        found = adjoint(loop, state, goal, weights)
+        return found.value.mean(-1), by_theta(policy, found, goal) / state.shape[-2]
 
     def plain(self, theta: Tensor, base: Tensor, state: Tensor, goal: Tensor) -> Tensor:
         """The value ``[B]`` step by step, as it is written above: the oracle of ``__call__``."""
