@@ -1,5 +1,5 @@
-"""A forward model and a policy of actions in a domain with a goal (``inverse=none``): their features,
-and a fast path to their value.
+"""A forward model and a policy of actions in a domain with a goal (``inverse=none``): their
+features, and a fast path to their value.
 
 What an inverse model sees of accelerations, a forward model sees of actions.
 """
@@ -68,11 +68,11 @@ class Errors(FeatureMap):
 
 @dataclass(frozen=True)
 class Tracking:
-    """``edtorch.unroll.Generic`` for the model and the policy of this module, forty times as fast.
+    """What ``edtorch.unroll.Generic`` gives for this model and policy, its adjoint written out.
 
-    model: a ``DerivativeModel`` with ``Mechanical`` features; policy: linear in ``Errors``, squashed
-    or not; the reward is minus ``weight`` times the squared distance from the goal, which stays
-    where it is.  Only the mean is unrolled.
+    The model is a ``DerivativeModel`` with ``Mechanical`` features, the policy linear in ``Errors``,
+    squashed or not.  The reward is minus ``weight`` times the squared distance from the goal, which
+    stays where it is; only the mean is unrolled.
     """
 
     layout: Layout
