@@ -192,7 +192,7 @@ class InverseConfig:
 class KinematicConfig(InverseConfig):
     """Also length and damping: see ``edtorch.inverse.hand.HandCoordinates``."""
 
-    length: float = 0.3
+    length: float = 0.15
     damping: float = 0.05
 
 

@@ -70,9 +70,9 @@ class Errors(FeatureMap):
 class Tracking:
     """What ``edtorch.unroll.Generic`` gives for this model and policy, its adjoint written out.
 
-    The model is a ``DerivativeModel`` with ``Mechanical`` features, the policy linear in ``Errors``,
-    squashed or not.  The reward is minus ``weight`` times the squared distance from the goal, which
-    stays where it is; only the mean is unrolled.
+    The model is a ``DerivativeModel`` with ``Mechanical`` features, the policy linear in
+    ``Errors``, squashed or not.  The reward is minus ``weight`` times the squared distance from the
+    goal, which stays where it is; only the mean is unrolled.
     """
 
     layout: Layout

@@ -13,10 +13,15 @@ from sims.kinematics import Chain
 
 _NUDGE = 1e-3
 """Seconds between the poses of which a second difference is taken."""
+_POSES = 256
+"""Of which the mean is taken."""
 
 
 class HandCoordinates:
-    """y = (position of the chain's end / ``length``, slope of the hand, further joints).
+    """y = (position of the chain's end / ``length``, slope of the hand, further joints), less its
+    mean over the joints' ranges.
+
+    Far from 0 a policy's state and its constant would tell nearly the same, and be learned slowly.
 
     The slope is the sum of the three joints ``bends`` (default: the second to the fourth), whose
     axes are parallel; the further joints are all but the first and the bends.  With dy = J dq, the
@@ -33,7 +38,7 @@ class HandCoordinates:
         chain: Chain,
         bends: Sequence[str] | None = None,
         *,
-        length: float = 0.3,
+        length: float = 0.15,
         damping: float = 0.05,
     ) -> None:
         joints = list(layout.spec.tracked)
@@ -54,11 +59,15 @@ class HandCoordinates:
         for row, k in enumerate(further, 1):
             rows[row, k] = 1
         self._rows = rows
+        self._middle = torch.zeros(len(joints), dtype=torch.float64)
+        generator = torch.Generator().manual_seed(0)
+        share = torch.rand(_POSES, len(joints), generator=generator, dtype=torch.float64)
+        self._middle = self.place(chain.low + (chain.high - chain.low) * share).mean(0)
 
     def place(self, angles: Tensor) -> Tensor:
         """y ``[*batch, n]``; angles ``[*batch, n]``, rad."""
         position = self.chain.forward(angles).position / self._length
-        return torch.cat((position, angles @ self._rows.mT), -1)
+        return torch.cat((position, angles @ self._rows.mT), -1) - self._middle
 
     def jacobian(self, angles: Tensor) -> Tensor:
         """J = dy/dq ``[*batch, n, n]``."""
