@@ -22,6 +22,13 @@ from hydra import compose, initialize_config_module
 from edtorch.app import schemas
 from edtorch.app.build import build
 from edtorch.interact import Training
+from edtorch.learner import AnyLearner, Learner
+from edtorch.unroll import ValuePath
+
+
+def _value(learner: AnyLearner) -> ValuePath:
+    assert isinstance(learner, Learner)
+    return learner.value
 
 
 def cpu_us(work: Callable[[], object], calls: int) -> float:
@@ -56,6 +63,7 @@ def parts(size: int) -> dict[str, Callable[[], object]]:
     copied_model = {name: p.clone() for name, p in model.items()}
     copied_policy = {name: p.clone() for name, p in policy.items()}
     copied_state = state.clone()
+    closed_form, generic = (_value(setups[path].learner) for path in ("closed_form", "generic"))
     return {
         "whole tick": lambda: training.advance(1),
         "simulator step": lambda: world.step(here.world, action, uniform),
@@ -63,8 +71,8 @@ def parts(size: int) -> dict[str, Callable[[], object]]:
             world.observe(here.world),
             world.outcome(here.world, training.clock - here.begun),
         ),
-        "value and gradient, closed form": lambda: setup.learner.value(model, policy, noise, state),
-        "value and gradient, generic": lambda: setups["generic"].learner.value(
+        "value and gradient, closed form": lambda: closed_form(model, policy, noise, state),
+        "value and gradient, generic": lambda: generic(
             copied_model, copied_policy, noise, copied_state
         ),
     }

@@ -129,7 +129,8 @@ class Tick:
         observation = self.world.observe(state)
         seconds = self.world.seconds
         applied = self.world.applied(state, action)
-        transition = Transition(worlds.observation, applied, observation, seconds, active)
+        valid = self.world.stepped(state, active)
+        transition = Transition(worlds.observation, applied, observation, seconds, valid)
         learners, metrics = self.learner.step(here.learners, transition)
         state = select(active, state, worlds.world)
         observation = select(active, observation, worlds.observation)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sims.base import Actuated, Outcome, Sim
+from sims.base import Actuated, Fallible, Outcome, Sim
 
 
 class World:
@@ -68,6 +68,12 @@ class World:
         if not isinstance(self.sim, Actuated):
             return action
         return self.scaled(self.sim.applied(state))
+
+    def stepped(self, state: Tensor, active: Tensor) -> Tensor:
+        """Whether the step to ``state`` of those that are ``active`` ``[B]`` really was one."""
+        if not isinstance(self.sim, Fallible):
+            return active
+        return active & self.sim.stepped(state)
 
     def outcome(self, state: Tensor, ticks: Tensor) -> Tensor:
         """``Outcome`` of each episode, ``[B]``, its time limit included; ticks ``[B]`` so far."""

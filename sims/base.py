@@ -146,6 +146,15 @@ class Actuated(Protocol):
 
 
 @runtime_checkable
+class Fallible(Protocol):
+    """A sim whose steps may fail to happen: nothing is to be learned from such a one."""
+
+    def stepped(self, state: Tensor) -> Tensor:
+        """Whether the step to ``state`` was one, bool ``[*batch]``."""
+        ...
+
+
+@runtime_checkable
 class Invertible(Protocol):
     """A sim that offers its true inverse dynamics, for yardsticks only."""
 

@@ -233,6 +233,12 @@ class Cardea:
         """Torques ``[*batch, 5]``, N m, of the last step, with the noise, as clipped."""
         return state[..., _APPLIED]
 
+    def stepped(self, state: Tensor) -> Tensor:
+        """Whether the robot moved, bool ``[*batch]``: neither a torque without a number nor a
+        process that died kept it where it was."""
+        trouble = state[..., _TROUBLE]
+        return (trouble != int(Trouble.TORQUE)) & (trouble != int(Trouble.LOST))
+
     def outcome(self, state: Tensor) -> Tensor:
         """``Outcome`` of each row as int64 ``[*batch]``, the time limit included."""
         reached = (_joint_error(state) < self.reached_error) & (

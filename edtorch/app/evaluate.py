@@ -6,6 +6,7 @@ import sys
 import time
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import hydra
 import torch
@@ -27,10 +28,11 @@ from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
 from edtorch.app.signals import Stop
 from edtorch.checkpoint import load_policy, write_text
-from edtorch.evaluation import evaluate
+from edtorch.evaluation import evaluate, evaluate_yardstick
 from edtorch.records import Episode
-from edtorch.report.statistics import evaluation_figures
+from edtorch.report.statistics import evaluation_figures, goal_figures
 from edtorch.world import World
+from sims.base import Measured
 
 
 def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
@@ -56,6 +58,38 @@ def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
             cells.append("-" if value is None else f"{value:.{digits}f}")
         table.add_row(*cells)
     return table
+
+
+def _goal_table(figures: dict[str, Any], yardsticks: dict[str, Any], seeds: list[int]) -> Table:
+    """Of a family of tasks: a row per seed and per yardstick, a column per figure."""
+    table = Table(
+        title="fresh episodes, no exploration", title_justify="left", box=SIMPLE, padding=(0, 1)
+    )
+    for label in ("seed", *(name.replace("_", " ") for name in figures)):
+        table.add_column(label, justify="right")
+    for row, seed in enumerate(seeds):
+        table.add_row(str(seed), *(_cell(spread["per_seed"][row]) for spread in figures.values()))
+    for name, own in yardsticks.items():
+        table.add_row(name.replace("_", " "), *(_cell(own[key]["median"]) for key in figures))
+    return table
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def _yardsticks(config: DictConfig, world: World, seeds: list[int]) -> dict[str, Any]:
+    """The figures of the sim's own controllers, by name, in the episodes of the first seed."""
+    if not config.yardsticks:
+        return {}
+    if not isinstance(world.sim, Measured):
+        raise ConfigError(
+            f"yardsticks=true: expected a domain with yardsticks; {world.spec.name} has none"
+        )
+    return {
+        name: goal_figures(evaluate_yardstick(control, world, seeds[:1], config.episodes))
+        for name, control in world.sim.yardsticks().items()
+    }
 
 
 def _task(config: DictConfig) -> float:
@@ -87,7 +121,9 @@ def _evaluate(config: DictConfig) -> float:
     parameters = load_policy(path, policy_card(sim, policy, seeds), shapes)
 
     began = time.monotonic()
+    yardsticks = _yardsticks(config, world, seeds)
     episodes = evaluate(policy, parameters, world, seeds, config.episodes)
+    reached = goal_figures(episodes) if world.spec.goal else {}
     result = {
         "run": str(folder),
         "policy": str(path),
@@ -95,6 +131,8 @@ def _evaluate(config: DictConfig) -> float:
         "domain": OmegaConf.to_container(config.domain),
         "seeds": seeds,
         **evaluation_figures(episodes),
+        **reached,
+        "yardsticks": yardsticks,
         "eval_s": time.monotonic() - began,
         "versions": versions(),
         "command": command_line(),
@@ -107,7 +145,8 @@ def _evaluate(config: DictConfig) -> float:
             f"run={folder}: expected a folder to write to ({error.strerror})"
         ) from error
     console = Console()
-    console.print(_table(episodes, seeds))
+    table = _goal_table(reached, yardsticks, seeds) if reached else _table(episodes, seeds)
+    console.print(table)
     console.print(f"written to {written}", soft_wrap=True)
     return float(result["goal_rate"]["median"])
 

@@ -351,13 +351,15 @@ class EvaluateConfig:
     """Everything ``edtorch-eval`` knows.
 
     run: folder of a run; policy: a file, by default the run's own; episodes: per seed; domain:
-    settings that replace the run's own.
+    settings that replace the run's own; yardsticks: whether to measure the domain's own controllers
+    in the same episodes.
     """
 
     run: str = MISSING
     policy: str | None = None
     episodes: int = 100
     domain: dict[str, Any] = field(default_factory=dict)
+    yardsticks: bool = False
     threads: int = 1
     debug: bool = False
 

@@ -55,6 +55,7 @@ def summarise(
     reached = {}
     if has_goal:
         reached = {
+            "lost_episodes": sum(e.measures.get("lost", 0.0) > 0 for e in training.episodes),
             "evaluations": [evaluation.as_json() for evaluation in evaluations],
             "final": last.as_json(),
         }

@@ -143,11 +143,11 @@ def tracking(
         and isinstance(transform, MeanOnly)
         and type(policy) in (LinearPolicy, SquashedPolicy)
         and isinstance(policy.features, Errors)
-        and isinstance(reward, QuadraticReward)
-        and not reward.costs_actions
         and horizon.first_step == 1
     )
     if not parts or not isinstance(model.features, Mechanical):
+        return None
+    if not isinstance(reward, QuadraticReward) or reward.costs_actions:
         return None
     layout = model.features.layout
     cost = distance_cost(layout.spec).to(reward.state_cost)
