@@ -1,8 +1,8 @@
 """The paper's Figure 3 of several runs at once, from what their folders hold.
 
-    python -m benchmarks.cardea_figure docs/pictures cardea NAME=FOLDER [NAME=FOLDER ...]
+    python -m benchmarks.cardea_figure FOLDER FILE LABEL=RUN [LABEL=RUN ...]
 
-Writes ``cardea.png`` and ``.svg`` into the first folder.
+Writes ``FILE.png`` and ``FILE.svg`` into ``FOLDER``.
 """
 
 from __future__ import annotations

@@ -26,7 +26,6 @@ def evaluate(
     seeds: Sequence[int],
     episodes: int,
     *,
-    purpose: Purpose = Purpose.EVALUATION,
     watch: Watch | None = None,
 ) -> list[list[Episode]]:
     """Run ``episodes`` fresh episodes of each policy, without exploration and without learning.
@@ -39,20 +38,19 @@ def evaluate(
     def act(state: Tensor, observation: Tensor) -> Tensor:
         return policy.action(expanded, observation)
 
-    return _run(act, world, seeds, episodes, purpose, watch)
+    return _run(act, world, seeds, episodes, watch)
 
 
 def evaluate_yardstick(
     control: Callable[[Tensor], Tensor], world: World, seeds: Sequence[int], episodes: int
 ) -> list[list[Episode]]:
-    """The same episodes with a controller that sees all: states ``[N, k]`` to actions ``[N, m]``,
-    physical units (``sims.base.Measured``)."""
+    """The same episodes with a controller that sees all: full states ``[N, k]`` to actions
+    ``[N, m]``, physical units (``sims.base.Measured``)."""
     return _run(
         lambda state, observation: world.scaled(control(state)),
         world,
         seeds,
         episodes,
-        Purpose.EVALUATION,
         None,
     )
 
@@ -62,10 +60,9 @@ def _run(
     world: World,
     seeds: Sequence[int],
     episodes: int,
-    purpose: Purpose,
     watch: Watch | None,
 ) -> list[list[Episode]]:
-    keys = [stream_key(s, purpose, e) for s in seeds for e in range(episodes)]
+    keys = [stream_key(s, Purpose.EVALUATION, e) for s in seeds for e in range(episodes)]
     streams = Streams(keys, world.uniforms, 0, world.dtype)
     finished: list[list[Episode]] = [[] for _ in seeds]
     with torch.inference_mode():

@@ -25,7 +25,6 @@ class Purpose(IntEnum):
 
     LEARNING = 0
     EVALUATION = 1
-    SELECTION = 2
 
 
 @dataclass(frozen=True)
