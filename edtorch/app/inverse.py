@@ -56,7 +56,9 @@ def _coordinates(config: Any, layout: Layout, sim: Sim) -> Coordinates:
             f"inverse=kinematic: expected a domain with a chain of joints; {sim.spec.name} has none"
         )
     with under("inverse"):
-        return HandCoordinates(layout, sim.chain(), length=config.length, damping=config.damping)
+        return HandCoordinates(
+            layout, sim.chain(), length=config.length, damping=config.damping, bent=config.bent
+        )
 
 
 def build_controller(config: Any, sim: Sim) -> InverseController:

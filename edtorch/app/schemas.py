@@ -190,10 +190,11 @@ class InverseConfig:
 
 @dataclass
 class KinematicConfig(InverseConfig):
-    """Also length and damping: see ``edtorch.inverse.hand.HandCoordinates``."""
+    """Also length, damping and bent: see ``edtorch.inverse.hand.HandCoordinates``."""
 
     length: float = 0.15
-    damping: float = 0.05
+    damping: float = 0.15
+    bent: float = 0.15
 
 
 @dataclass

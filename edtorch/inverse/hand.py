@@ -30,6 +30,9 @@ class HandCoordinates:
         ddq = J' (J J' + damping^2 I)^-1 (w - dJ/dt dq),
 
     the damping being for poses in which J has no inverse.  length: m that count like a radian.
+
+    A stretched arm may bend either way, and only one is within its range: J is taken with the
+    second of the bends at least ``bent``, rad, to the side of the middle of its range.
     """
 
     def __init__(
@@ -39,7 +42,8 @@ class HandCoordinates:
         bends: Sequence[str] | None = None,
         *,
         length: float = 0.15,
-        damping: float = 0.05,
+        damping: float = 0.15,
+        bent: float = 0.15,
     ) -> None:
         joints = list(layout.spec.tracked)
         bends = joints[1:4] if bends is None else list(bends)
@@ -48,11 +52,19 @@ class HandCoordinates:
                 f"bends={bends}: expected three of {', '.join(joints[1:])}, so that the hand has as"
                 " many coordinates as there are joints"
             )
-        for name, value in (("length", length), ("damping", damping)):
+        for name, value in (("length", length), ("damping", damping), ("bent", bent)):
             if not value > 0:
                 raise ValueError(f"{name}={value}: expected a number > 0")
         self.layout, self.chain = layout, chain
         self._length, self._damping = length, damping
+        elbow = joints.index(bends[1])
+        is_negative = bool(chain.low[elbow] + chain.high[elbow] < 0)
+        self._most = torch.full((len(joints),), torch.inf, dtype=torch.float64)
+        self._least = -self._most
+        if is_negative:
+            self._most[elbow] = -bent
+        else:
+            self._least[elbow] = bent
         rows = torch.zeros(len(joints) - 3, len(joints), dtype=torch.float64)
         rows[0, [joints.index(name) for name in bends]] = 1
         further = [k for k, name in enumerate(joints) if k > 0 and name not in bends]
@@ -88,6 +100,7 @@ class HandCoordinates:
         """See ``edtorch.inverse.coordinates.Coordinates``."""
         n, half = self.layout.joints, self.layout.size // 2
         q, dq = view.joints[..., :n], view.joints[..., half : half + n]
+        q = torch.minimum(torch.maximum(q, self._least), self._most)
         step = _NUDGE * dq
         back, here, on = self.place(torch.stack((q - step, q, q + step))).unbind(0)
         lacking = wish - (on - 2 * here + back) / _NUDGE**2

@@ -81,7 +81,6 @@ def test_a_run_goes_on_from_its_checkpoint_and_is_evaluated(run: Path, command: 
         assert all(torch.equal(saved[key], again[key]) for key in again), name
     result = command("edtorch-eval", f"run={run}", "episodes=2", "yardsticks=true")
     assert result.status == 0, result.err
-    assert "computed torque" in result.out
     (written,) = run.glob("eval_*.json")
     figures = json.loads(written.read_text())
     assert set(figures) > FIGURES
