@@ -2,8 +2,9 @@
 
 ``mean`` and ``covariance`` are the reference peer: the unroll as a ``lax.scan`` over time, its
 gradient by ``jax.value_and_grad``, learners by ``vmap``.  ``covariance_own_jacobian`` spares
-``jacrev``; ``mean_adjoint`` and ``covariance_adjoint`` are the gradient by hand with the learners
-on the last axis, the best layout that was found.  ``ticks`` is whole ticks of the bicycle.
+``jacrev``; ``mean_adjoint`` and ``covariance_adjoint`` are the gradient by hand, and ``..._last``
+the same with the learners on the last axis, the fastest that was found for few states.  ``ticks``
+is whole ticks of the bicycle, ``ticks_by_hand`` with that gradient.
 
 All take the model ds/dt = W (s, theta s), weight W ``[B, n, n + m]``, theta ``[B, m, n]``, start
 ``[B, n]``, noise over one step ``[B, n, n]``, cost Q ``[n, n]``, weights w ``[T]`` and the seconds
@@ -118,17 +119,86 @@ covariance_own_jacobian = _covariance(own_jacobian=True)
 """The same with the closed loop's matrix for a Jacobian."""
 
 
-# Value and gradient by hand, learners last: weight [n, n + m, B], theta [m, n, B], start [n, B].
+# Value and gradient by hand: of one learner, vmapped.
+
+
+def _adjoint_of_mean(
+    weight: Array, theta: Array, start: Array, cost: Array, weights: Array, dt: Array
+) -> Any:
+    n = start.shape[0]
+    D = dt * (weight[:, :n] + weight[:, n:] @ theta)
+
+    def forward(before: Array, w: Array) -> Any:
+        state = before + D @ before
+        pull = w * (cost @ state)
+        return state, (before, pull, -(pull @ state))
+
+    def backward(carry: Any, step: Any) -> Any:
+        adjoint, through = carry
+        before, pull = step
+        adjoint = adjoint + adjoint @ D - 2 * pull
+        return (adjoint, through + jnp.outer(adjoint, before)), None
+
+    _, (states, pulls, rewards) = lax.scan(forward, start, weights)
+    nothing = (jnp.zeros_like(start), jnp.zeros_like(D))
+    (_, through), _ = lax.scan(backward, nothing, (states, pulls), reverse=True)
+    return rewards.sum(), dt * weight[:, n:].T @ through
+
+
+def _adjoint_of_covariance(
+    weight: Array,
+    theta: Array,
+    start: Array,
+    noise: Array,
+    cost: Array,
+    weights: Array,
+    dt: Array,
+) -> Any:
+    n = start.shape[0]
+    A = jnp.eye(n, dtype=start.dtype) + dt * (weight[:, :n] + weight[:, n:] @ theta)
+
+    def forward(moment: Array, w: Array) -> Any:
+        product = A @ moment
+        moment = product @ A.T + noise
+        return moment, (product, -w * (cost * moment).sum())
+
+    def backward(carry: Any, step: Any) -> Any:
+        adjoint, through = carry
+        product, w = step
+        # adjoint: A' Lambda_{tau+1} A of the step after.
+        adjoint = adjoint + w * cost
+        return (A.T @ (adjoint @ A), through + adjoint @ product), None
+
+    first = jnp.outer(start, start)
+    _, (products, rewards) = lax.scan(forward, first, weights)
+    nothing = (jnp.zeros_like(first), jnp.zeros_like(first))
+    (_, through), _ = lax.scan(backward, nothing, (products, weights), reverse=True)
+    return rewards.sum(), -2 * dt * weight[:, n:].T @ through
+
+
+mean_adjoint = jax.jit(jax.vmap(_adjoint_of_mean, (0, 0, 0, None, None, None)))
+"""Value and gradient, mean only, by hand."""
+covariance_adjoint = jax.jit(jax.vmap(_adjoint_of_covariance, (0, 0, 0, 0, None, None, None)))
+"""Value and gradient with covariance, by hand, through the second moment."""
+
+
+# The same with the learners last: weight [n, n + m, B], theta [m, n, B], start [n, B], noise
+# [n, n, B].  Sums are written out: as reductions or einsum they are up to a hundred times as slow.
+# The price is that beyond about eight states XLA computes the same products over and over, with
+# covariance for a second and more.
+
+LARGEST_LAST = 8
+"""States up to which ``covariance_adjoint_last`` is of any use."""
 
 
 def _times(left: Array, right: Array) -> Array:
     """[i, k, B] times [k, j, B]."""
-    return (left[:, :, None] * right[None]).sum(1)
+    return sum(left[:, k, None] * right[None, k] for k in range(right.shape[0]))
 
 
 def _transposed_times(left: Array, right: Array) -> Array:
     """[k, i, B] transposed, times [k, j, B]."""
-    return (left[:, :, None] * right[:, None]).sum(0)
+    return sum(left[k][:, None] * right[k][None] for k in range(right.shape[0]))
 
 
 def _increment(weight: Array, theta: Array, dt: Array) -> Array:
@@ -138,32 +208,32 @@ def _increment(weight: Array, theta: Array, dt: Array) -> Array:
 
 
 @jax.jit
-def mean_adjoint(
+def mean_adjoint_last(
     weight: Array, theta: Array, start: Array, cost: Array, weights: Array, dt: Array
 ) -> Any:
-    """Value and gradient, mean only; all with the learners last."""
-    n = start.shape[0]
+    """Value and gradient, mean only, by hand; all with the learners last."""
     D = _increment(weight, theta, dt)
+    costs = jnp.broadcast_to(cost[:, :, None], D.shape)
 
     def forward(before: Array, w: Array) -> Any:
-        state = before + (D * before[None]).sum(1)
-        pull = w * (cost[:, :, None] * state[None]).sum(1)
+        state = before + _times(D, before[:, None])[:, 0]
+        pull = w * _times(costs, state[:, None])[:, 0]
         return state, (before, pull, -(pull * state).sum(0))
 
     def backward(carry: Any, step: Any) -> Any:
         adjoint, through = carry
         before, pull = step
-        adjoint = adjoint + (D * adjoint[:, None]).sum(0) - 2 * pull
+        adjoint = adjoint + _transposed_times(D, adjoint[:, None])[:, 0] - 2 * pull
         return (adjoint, through + adjoint[:, None] * before[None]), None
 
     _, (states, pulls, rewards) = lax.scan(forward, start, weights)
     nothing = (jnp.zeros_like(start), jnp.zeros_like(D))
     (_, through), _ = lax.scan(backward, nothing, (states, pulls), reverse=True)
-    return rewards.sum(0), dt * _transposed_times(weight[:, n:], through)
+    return rewards.sum(0), dt * _transposed_times(weight[:, len(start) :], through)
 
 
 @jax.jit
-def covariance_adjoint(
+def covariance_adjoint_last(
     weight: Array,
     theta: Array,
     start: Array,
@@ -172,8 +242,7 @@ def covariance_adjoint(
     weights: Array,
     dt: Array,
 ) -> Any:
-    """Value and gradient with covariance, by the second moment; all with the learners last."""
-    n = start.shape[0]
+    """Value and gradient with covariance, by hand; all with the learners last."""
     D = _increment(weight, theta, dt)
     D_transposed = D.swapaxes(0, 1)
 
@@ -185,17 +254,15 @@ def covariance_adjoint(
     def backward(carry: Any, step: Any) -> Any:
         adjoint, through = carry
         product, w = step
-        # adjoint: A' Lambda_{tau+1} A of the step after.
         adjoint = adjoint + w * cost[:, :, None]
-        through = through + _times(adjoint, product)
         half = adjoint + _times(adjoint, D)
-        return (half + _times(D_transposed, half), through), None
+        return (half + _times(D_transposed, half), through + _times(adjoint, product)), None
 
     first = start[:, None] * start[None]
     _, (products, rewards) = lax.scan(forward, first, weights)
     nothing = (jnp.zeros_like(first), jnp.zeros_like(first))
     (_, through), _ = lax.scan(backward, nothing, (products, weights), reverse=True)
-    return rewards.sum(0), -2 * dt * _transposed_times(weight[:, n:], through)
+    return rewards.sum(0), -2 * dt * _transposed_times(weight[:, len(start) :], through)
 
 
 # Whole ticks of the bicycle.
@@ -274,9 +341,8 @@ def bicycle_start(uniform: Array) -> Array:
     return jnp.stack([zero, zero, zero, zero, zero, psi, east, north, zero, zero])
 
 
-def tick(one: Population, draws: tuple[Array, Array]) -> tuple[Population, Array]:
-    """A tick of one learner, from its uniforms ``[2]`` and normals ``[2]``; and its value."""
-    uniform, normal = draws
+def live(one: Population, uniform: Array, normal: Array) -> Population:
+    """Ride for a tick and fit the model, for one learner, from uniforms and normals ``[2]``."""
     dtype = one.theta.dtype
     action = jnp.clip(one.theta @ one.observation + paper.EXPLORATION * normal, -1, 1)
     torque, displacement = (action * jnp.array(paper.ACTION_SCALE, dtype)).astype(jnp.float64)
@@ -289,42 +355,57 @@ def tick(one: Population, draws: tuple[Array, Array]) -> tuple[Population, Array
     phi = jnp.concatenate([one.observation, action])
     residual = moved / paper.DT - one.weight @ phi
     weight = one.weight + paper.FIT_RATE * jnp.outer(jnp.sign(residual), phi)
-
-    cost = jnp.diag(jnp.array(paper.STATE_COST, dtype))
-    weights = jnp.full(paper.HORIZON, paper.UNROLL_DT, dtype)
-    dt = jnp.array(paper.UNROLL_DT, dtype)
-    if one.noise is None:
-        noise = None
-        value, gradient = jax.value_and_grad(mean_value)(
-            one.theta, weight, observation, cost, weights, dt
-        )
-    else:
+    noise = one.noise
+    if noise is not None:
         squared = paper.DT * jnp.outer(residual, residual)
-        noise = one.noise + paper.NOISE_RATE * (squared - one.noise)
-        value, gradient = jax.value_and_grad(covariance_value)(
-            one.theta, weight, observation, noise * dt, cost, weights, dt
-        )
+        noise = noise + paper.NOISE_RATE * (squared - noise)
+    ticks = one.ticks + 1
+    return one._replace(
+        world=world, observation=observation, weight=weight, noise=noise, ticks=ticks
+    )
+
+
+def improve(one: Population, gradient: Array, uniform: Array) -> Population:
+    """Move the policy, and begin a new episode where one has ended, for one learner."""
     norm = jnp.sqrt((gradient * gradient).sum())
     theta = one.theta + paper.ALPHA / (paper.BETA + norm) * gradient
 
-    ticks = one.ticks + 1
+    world, observation = one.world, one.observation
     fell = ~(jnp.abs(world[2]) <= paper.FALLEN)
     east, north = world[6] - paper.GOAL[0], world[7] - paper.GOAL[1]
     arrived = east * east + north * north <= paper.GOAL_RADIUS**2
-    ended = fell | arrived | (ticks >= paper.LIMIT_TICKS)
+    ended = fell | arrived | (one.ticks >= paper.LIMIT_TICKS)
     fresh = bicycle_start(uniform[1].astype(jnp.float64))
-    after = Population(
+    return one._replace(
         world=jnp.where(ended, fresh, world),
-        observation=jnp.where(ended, observe(fresh).astype(dtype), observation),
-        weight=weight,
+        observation=jnp.where(ended, observe(fresh).astype(observation.dtype), observation),
         theta=theta,
-        noise=noise,
-        ticks=jnp.where(ended, 0, ticks),
+        ticks=jnp.where(ended, 0, one.ticks),
         episodes=one.episodes + ended,
         falls=one.falls + fell,
         rides=one.rides + (ended & ~fell),
     )
-    return after, value
+
+
+def _unroll_arguments(dtype: Any) -> tuple[Array, Array, Array]:
+    """Cost, weights and dt."""
+    cost = jnp.diag(jnp.array(paper.STATE_COST, dtype))
+    weights = jnp.full(paper.HORIZON, paper.UNROLL_DT, dtype)
+    return cost, weights, jnp.array(paper.UNROLL_DT, dtype)
+
+
+def tick(one: Population, draws: tuple[Array, Array]) -> tuple[Population, Array]:
+    """A tick of one learner, from its uniforms ``[2]`` and normals ``[2]``; and its value."""
+    uniform, normal = draws
+    one = live(one, uniform, normal)
+    cost, weights, dt = _unroll_arguments(one.theta.dtype)
+    known = (one.theta, one.weight, one.observation)
+    if one.noise is None:
+        value, gradient = jax.value_and_grad(mean_value)(*known, cost, weights, dt)
+    else:
+        both = jax.value_and_grad(covariance_value)
+        value, gradient = both(*known, one.noise * dt, cost, weights, dt)
+    return improve(one, gradient, uniform), value
 
 
 @jax.jit
@@ -333,9 +414,31 @@ def ticks(population: Population, uniform: Array, normal: Array) -> tuple[Popula
     return lax.scan(jax.vmap(tick), population, (uniform, normal))
 
 
+def _tick_by_hand(learners: Population, draws: tuple[Array, Array]) -> tuple[Population, Array]:
+    """A tick of all learners, whose values and gradients go with the learners last."""
+    uniform, normal = draws
+    learners = jax.vmap(live)(learners, uniform, normal)
+    cost, weights, dt = _unroll_arguments(learners.theta.dtype)
+    known = [learners.weight, learners.theta, learners.observation]
+    if learners.noise is not None:
+        known.append(learners.noise * dt)
+    function: Any = mean_adjoint_last if learners.noise is None else covariance_adjoint_last
+    last = (jnp.moveaxis(array, 0, -1) for array in known)
+    value, gradient = function(*last, cost, weights, dt)
+    return jax.vmap(improve)(learners, jnp.moveaxis(gradient, -1, 0), uniform), value
+
+
+@jax.jit
+def ticks_by_hand(
+    population: Population, uniform: Array, normal: Array
+) -> tuple[Population, Array]:
+    """``ticks`` with value and gradient by hand, the fastest way that was found in JAX."""
+    return lax.scan(_tick_by_hand, population, (uniform, normal))
+
+
 def population(numbers: dict[str, Any], dtype: Any) -> Population:
     """From arrays by name; the learner, not the world, in ``dtype``."""
-    arrays = {name: jnp.asarray(array) for name, array in numbers.items()}
+    arrays: dict[str, Any] = {name: jnp.asarray(array) for name, array in numbers.items()}
     for name in ("observation", "weight", "theta", "noise"):
         arrays[name] = arrays[name].astype(dtype) if name in arrays else None
     return Population(**arrays)

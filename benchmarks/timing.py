@@ -72,7 +72,7 @@ def processor() -> str:
 def write_json(path: Path | None, content: Mapping[str, Any]) -> None:
     """The results with their versions, if there is a ``path`` to write them to."""
     if path is not None:
-        everything = {**content, "versions": versions(), "threads": 1}
+        everything = {**content, **versions(), "threads": 1}
         path.write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
 
 

@@ -2,7 +2,7 @@
 
 Mean only and with covariance, over sizes n (states), m (actions), T (steps) and B (learners), each
 size with all rows in turn; us of CPU per call, one thread, and in brackets the ratios to JAX as its
-users write it (`JAX`) and to numba.  JAX's further rows help it along by hand.  Not measured,
+users write it (`JAX`) and to numba.  JAX's further rows help it along.  Not measured,
 "-": what would need more than --memory GiB.
 
     python -m benchmarks.unroll [--full] [--states 5] [--steps 30] [--learners 256] [--json FILE]
@@ -142,7 +142,10 @@ def jax_rows(problem: Problem, memory: float) -> dict[str, Work]:
         if size.covariance:
             rows["JAX, own Jacobian"] = row("covariance_own_jacobian", lambda array: array)
     if 2 * size.tape() <= memory:
-        rows["JAX, adjoint by hand"] = row(f"{kind}_adjoint", lambda a: np.moveaxis(a, 0, -1))
+        rows["JAX, by hand"] = row(f"{kind}_adjoint", lambda array: array)
+        if not size.covariance or size.n <= peers_jax.LARGEST_LAST:
+            last = row(f"{kind}_adjoint_last", lambda array: np.moveaxis(array, 0, -1))
+            rows["JAX, by hand, learners last"] = last
     return rows
 
 
@@ -176,8 +179,8 @@ def grid(options: argparse.Namespace) -> list[tuple[int, int, int]]:
     """(n, T, B) of all columns."""
     asked = (options.states, options.steps, options.learners)
     if options.full or any(asked):
-        chosen = (a or every for a, every in zip(asked, (STATES, STEPS, LEARNERS), strict=True))
-        return list(product(*chosen))
+        states, steps, learners = asked
+        return list(product(states or STATES, steps or STEPS, learners or LEARNERS))
     return [
         *((5, 30, learners) for learners in LEARNERS),
         *((5, steps, 256) for steps in STEPS if steps != 30),
@@ -188,8 +191,8 @@ def grid(options: argparse.Namespace) -> list[tuple[int, int, int]]:
 def cell(us: dict[str, float], name: str) -> str:
     if name not in us:
         return "-"
-    ratios = "".join(f"{us[name] / us[peer]:7.2f}" for peer in ("JAX", "numba") if peer in us)
-    return f"{us[name]:.0f} ({ratios.strip()})" if ratios else f"{us[name]:.0f}"
+    ratios = [f"{us[name] / us[peer]:.2f}" for peer in ("JAX", "numba") if peer in us]
+    return f"{us[name]:.0f} ({', '.join(ratios)})" if ratios else f"{us[name]:.0f}"
 
 
 def main() -> None:
