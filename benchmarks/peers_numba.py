@@ -57,19 +57,26 @@ Array = np.ndarray[Any, Any]
 EAST, NORTH = GOAL
 
 
+LARGEST_KNOWN = 16
+"""States up to which it helps that the compiler knows their number; at 32 it hinders, threefold."""
+
+
 # Value and gradient.  A kernel does learners first..last-1 and is given all memory that it needs.
 
 
 @cache
-def mean_kernel(n: int, m: int) -> Any:  # noqa: C901 (loops, as scalar code has them)
+def mean_kernel(states: int, m: int) -> Any:  # noqa: C901 (loops, as scalar code has them)
     """Compiled for n states and m actions: see ``mean``."""
+    known = states if states <= LARGEST_KNOWN else 0
 
     @njit(fastmath=False, cache=True)
     def kernel(  # noqa: C901
-        first, last, weight, theta, start, cost, weights, dt, D, states, vectors, G, V, g
+        first, last, weight, theta, start, cost, weights, dt, squares, path, vectors, G, V, g
     ):
+        n = known if known > 0 else start.shape[1]
         steps = weights.shape[0]
-        adjoint, pulled = vectors[0], vectors[1]
+        D, transposed = squares[0], squares[1]
+        adjoint, pull, pulled = vectors[0], vectors[1], vectors[2]
         for b in range(first, last):
             for i in range(n):
                 for j in range(n):
@@ -80,23 +87,27 @@ def mean_kernel(n: int, m: int) -> Any:  # noqa: C901 (loops, as scalar code has
                         D[i, j] += weight[b, i, n + k] * theta[b, k, j]
                 for j in range(n):
                     D[i, j] *= dt
-                states[0, i] = start[b, i]
+                    transposed[j, i] = D[i, j]
+                path[0, i] = start[b, i]
                 adjoint[i] = 0
             for t in range(steps):
                 for i in range(n):
-                    x = states[t, i]
-                    for j in range(n):
-                        x += D[i, j] * states[t, j]
-                    states[t + 1, i] = x
+                    path[t + 1, i] = path[t, i]
+                for j in range(n):
+                    x = path[t, j]
+                    for i in range(n):
+                        path[t + 1, i] += transposed[j, i] * x
             value = dt - dt  # 0 in the precision of everything else
             for t in range(steps, 0, -1):
                 for i in range(n):
-                    pull = cost[i, 0] * states[t, 0]
-                    for j in range(1, n):
-                        pull += cost[i, j] * states[t, j]
-                    pull *= weights[t - 1]
-                    value -= pull * states[t, i]
-                    pulled[i] = adjoint[i] - pull - pull
+                    pull[i] = 0
+                for j in range(n):
+                    x = weights[t - 1] * path[t, j]
+                    for i in range(n):
+                        pull[i] += cost[j, i] * x
+                for i in range(n):
+                    value -= pull[i] * path[t, i]
+                    pulled[i] = adjoint[i] - pull[i] - pull[i]
                 for j in range(n):
                     x = adjoint[j]
                     for i in range(n):
@@ -105,7 +116,7 @@ def mean_kernel(n: int, m: int) -> Any:  # noqa: C901 (loops, as scalar code has
                     x = pulled[i]
                     adjoint[i] = x
                     for j in range(n):
-                        G[i, j] += x * states[t - 1, j]
+                        G[i, j] += x * path[t - 1, j]
             V[b] = value
             for k in range(m):
                 for j in range(n):
@@ -119,13 +130,15 @@ def mean_kernel(n: int, m: int) -> Any:  # noqa: C901 (loops, as scalar code has
 
 
 @cache
-def covariance_kernel(n: int, m: int) -> Any:  # noqa: C901
+def covariance_kernel(states: int, m: int) -> Any:  # noqa: C901
     """Compiled for n states and m actions: see ``covariance``."""
+    known = states if states <= LARGEST_KNOWN else 0
 
     @njit(fastmath=False, cache=True)
     def kernel(  # noqa: C901
         first, last, weight, theta, start, noise, cost, weights, dt, D, squares, products, G, V, g
     ):
+        n = known if known > 0 else start.shape[1]
         steps = weights.shape[0]
         transposed, X, half = squares[0], squares[1], squares[2]
         for b in range(first, last):
@@ -210,7 +223,7 @@ def mean(n: int, m: int, steps: int, dtype: Any) -> Peer:
     Of weight ``[B, n, n + m]``, theta ``[B, m, n]``, start ``[B, n]``, cost, weights, dt.
     """
     kernel = mean_kernel(n, m)
-    memory = [np.empty(shape, dtype) for shape in ((n, n), (steps + 1, n), (2, n), (n, n))]
+    memory = [np.empty(shape, dtype) for shape in ((2, n, n), (steps + 1, n), (3, n), (n, n))]
 
     def value_and_gradient(
         weight: Array, theta: Array, start: Array, cost: Array, weights: Array, dt: Any
@@ -336,7 +349,7 @@ def ticks(  # noqa: C901
     """
     with_covariance = noise.shape[0] > 0
     D, G, over_step = np.empty((N, N)), np.empty((N, N)), np.empty((len(world), N, N))
-    states, vectors = np.empty((HORIZON + 1, N)), np.empty((2, N))
+    states, vectors = np.empty((HORIZON + 1, N)), np.empty((3, N))
     squares, products = np.empty((3, N, N)), np.empty((HORIZON, N, N))
     gradients = np.empty((len(world), M, N))
     cost, weights = np.zeros((N, N)), np.full(HORIZON, UNROLL_DT)
@@ -404,7 +417,7 @@ def ticks(  # noqa: C901
                     cost,
                     weights,
                     UNROLL_DT,
-                    D,
+                    squares,
                     states,
                     vectors,
                     G,
