@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import pickle
 import signal
 import traceback
 from collections.abc import Callable, Sequence
@@ -30,7 +31,12 @@ class _Forward(logging.Handler):
         self._connection = connection
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._connection.send(("log", (record.levelno, record.getMessage())))
+        _send(self._connection, "log", (record.levelno, record.getMessage()))
+
+
+def _send(connection: Connection, kind: str, content: Any) -> None:
+    """Pickled plainly: torch would share a tensor's memory, which goes when its process does."""
+    connection.send_bytes(pickle.dumps((kind, content)))
 
 
 def _serve(connection: Connection, work: Callable[[Callable[[Any], None]], Any]) -> None:
@@ -41,13 +47,13 @@ def _serve(connection: Connection, work: Callable[[Callable[[Any], None]], Any])
     logger.addHandler(_Forward(connection))
     logger.propagate = False
     try:
-        result = work(lambda report: connection.send(("report", report)))
+        result = work(lambda report: _send(connection, "report", report))
     except BrokenPipeError:
         return
     except Exception:
-        connection.send(("failed", traceback.format_exc()))
+        _send(connection, "failed", traceback.format_exc())
     else:
-        connection.send(("result", result))
+        _send(connection, "result", result)
 
 
 def in_processes(
@@ -76,7 +82,7 @@ def in_processes(
                 assert isinstance(connection, Connection)
                 number = numbers[connection]
                 try:
-                    kind, content = connection.recv()
+                    kind, content = pickle.loads(connection.recv_bytes())
                 except EOFError:
                     raise WorkerFailed(f"process {number} ended without a result") from None
                 if kind == "report":
