@@ -35,5 +35,5 @@ def compiled(function: _Function, *, wish: Wish) -> _Function:
         logger.warning("no C++ compiler on the PATH: not compiled, some ten times slower")
         return function
     # Loops of a graph (scan) run in C++ then, not in Python.
-    options = {"cpp_wrapper": True}
+    options: dict[str, str | int | bool | Callable[..., object]] = {"cpp_wrapper": True}
     return torch.compile(function, fullgraph=True, dynamic=False, options=options)

@@ -28,7 +28,7 @@ class Use(IntEnum):
 
 
 def mix(word: Tensor) -> Tensor:
-    """A bijection of [0, 2^32) in which every bit of the result depends on every bit of the word."""
+    """A bijection of [0, 2^32): every bit of the result depends on every bit of the word."""
     word = word ^ (word >> 16)
     word = (word * _FIRST) & _MASK
     word = word ^ (word >> 15)

@@ -2,8 +2,8 @@
 
 A tile holds one episode per slot and advances all of them together, without a look at the result;
 every few dozen ticks the host looks, takes the finished episodes out and puts new ones in.  What an
-episode does depends on its key alone (``edtorch.hashing``): not on its slot, on the size of the tile
-or on when it began.
+episode does depends on its key alone (``edtorch.hashing``): not on its slot, not on the size of the
+tile, not on when it began.
 """
 
 from __future__ import annotations
@@ -101,9 +101,7 @@ class Tile:
         self._world = world
         tick = one_tick(world, policy)
         self._advance = (
-            looped(tick, look)
-            if wish == "off"
-            else compiled(scanned(tick, look), wish=wish)
+            looped(tick, look) if wish == "off" else compiled(scanned(tick, look), wish=wish)
         )
         actions, features = policy.weight.shape
         # The batch last in memory, everywhere: a component is one run of memory.

@@ -109,7 +109,7 @@ class SearchResult:
 
 
 def policy_weights(settings: RandomSearch, policy: LinearPolicy, seed: int, ids: Tensor) -> Tensor:
-    """Weights ``[P, m, n]``, uniform in [low, high), of the policies with the numbers ids ``[P]``."""
+    """Weights ``[P, m, n]``, uniform in [low, high), of the policies numbered ids ``[P]``."""
     key = hash_key(Use.WEIGHTS, seed, ids)
     shape = policy.weight.shape
     numbers = uniform(key, torch.zeros_like(ids), shape.numel())
@@ -118,8 +118,8 @@ def policy_weights(settings: RandomSearch, policy: LinearPolicy, seed: int, ids:
 
 
 def episode_key(seed: int, ids: Tensor, run: Tensor) -> Tensor:
-    """Keys ``[F, 2]`` of the uniforms of run ``[F]`` of policy ids ``[F]``; the counter is the tick,
-    0 for the start."""
+    """Keys ``[F, 2]`` of the uniforms of run ``[F]`` of policy ids ``[F]``; their counter is the
+    tick, 0 for the start."""
     return hash_key(Use.EPISODE, seed, ids, run)
 
 
