@@ -6,7 +6,7 @@ import logging
 import os
 import shutil
 from collections.abc import Callable
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, cast
 
 import torch
 
@@ -36,4 +36,5 @@ def compiled(function: _Function, *, wish: Wish) -> _Function:
         return function
     # Loops of a graph (scan) run in C++ then, not in Python.
     options: dict[str, str | int | bool | Callable[..., object]] = {"cpp_wrapper": True}
-    return torch.compile(function, fullgraph=True, dynamic=False, options=options)
+    made = torch.compile(function, fullgraph=True, dynamic=False, options=options)
+    return cast(_Function, made)

@@ -7,6 +7,7 @@ and how they go, depends on the seed and on the policy's number alone.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -228,7 +229,10 @@ class Share:
         tile = Tile(
             self.world, self.policy, slots=settings.slots, look=settings.look, wish=self.wish
         )
-        finals = _Finals()
+        nobody = episode_key(self.seed, ids[:0], ids[:0])
+        finals = _Finals(
+            self.world.initial(uniform(nobody, ids[:0], self.world.uniforms)),
+        )
         compile_s, steps, reported = 0.0, 0, time.monotonic()
         while True:
             taken = schedule.take(tile.free())
@@ -267,9 +271,7 @@ class Share:
         )
         measures = self._measures(result, finals)
         cpu_s = time.process_time() - began
-        return SearchResult(
-            **{**vars(result), "measures": measures, "cpu_s": cpu_s}  # frozen
-        )
+        return dataclasses.replace(result, measures=measures, cpu_s=cpu_s)
 
     def _measures(self, result: SearchResult, finals: _Finals) -> dict[str, Tensor]:
         """Means over the runs of the policies that always reach the goal."""
@@ -291,10 +293,11 @@ class Share:
 class _Finals:
     """Final states of the episodes that reached the goal, with policy and run."""
 
-    def __init__(self) -> None:
+    def __init__(self, none: Tensor) -> None:
+        """none: states ``[0, k]``, of no episode."""
         self._at: dict[int, tuple[int, int]] = {}
         self._episodes: list[tuple[int, int]] = []
-        self._states: list[Tensor] = []
+        self._states = [none]
 
     def begin(self, taken: list[tuple[int, int, int]]) -> None:
         self._at |= {slot: (place, run) for slot, place, run in taken}
@@ -308,12 +311,9 @@ class _Finals:
     def of(self, wanted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Policy, run ``[F]`` and final state ``[F, k]`` of those of the policies ``wanted``, in
         order."""
-        if not self._episodes:
-            nothing = torch.zeros(0, dtype=torch.int64)
-            return nothing, nothing, torch.zeros(0, 1, dtype=torch.float64)
-        place, run = torch.tensor(self._episodes).unbind(-1)
-        runs = int(run.max()) + 1
-        order = (place * runs + run).argsort()
+        episodes = torch.tensor(self._episodes, dtype=torch.int64).reshape(-1, 2)
+        place, run = episodes.unbind(-1)
+        order = (place * 2**31 + run).argsort()
         order = order[wanted[place[order]]]
         return place[order], run[order], torch.cat(self._states)[order]
 

@@ -125,6 +125,14 @@ def test_processes_do_not_matter() -> None:
         assert found.measures[name].nan_to_num().equal(values.nan_to_num()), name
 
 
+def test_a_search_that_finds_nothing() -> None:
+    """No policy to the goal: there are no measures, and nothing breaks."""
+    world = World(Bicycle(time_limit=0.05, clip_action=False))
+    found = _search(RandomSearch(policies=3, runs=2, slots=4, look=3), world)
+    assert bool(found.stable.all())
+    assert bool(found.measures["path_length_m"].isnan().all())
+
+
 def test_seeds_are_other_searches() -> None:
     world = _short_ride()
     assert not _search(FEW, world).ticks.equal(_search(FEW, world, seed=6).ticks)
