@@ -226,8 +226,8 @@ class RandomSearchConfig(RivalConfig):
     runs: int = 30
     low: float = -2.0
     high: float = 2.0
-    slots: int = 512
-    look: int = 64
+    slots: int = 1024
+    look: int = 128
     processes: int | None = None
 
 

@@ -37,8 +37,8 @@ class RandomSearch:
     runs: int = 30
     low: float = -2.0
     high: float = 2.0
-    slots: int = 512
-    look: int = 64
+    slots: int = 1024
+    look: int = 128
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""
