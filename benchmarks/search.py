@@ -28,7 +28,7 @@ from edtorch.rivals.episodes import Tile
 from edtorch.rivals.random_search import RandomSearch, episode_key, policy_weights, search
 from sims.base import Outcome
 
-LOOK = 64
+LOOK = 128
 RIDES_ON = 341
 """With seed 0, a policy that rides to the goal: its episodes last 36,000 ticks."""
 
