@@ -225,7 +225,8 @@ class Bicycle:
         rows = (omega, omega_dot, theta, theta_dot, _angle_to_goal(components))
         if self.lean_acceleration:
             rows = (*rows, omega_ddot)
-        return torch.stack(rows, -1)
+        # The batch last in memory, as in the state: compiled, a whole tick is then one pass.
+        return torch.stack(rows).movedim(0, -1)
 
     def outcome(self, state: Tensor) -> Tensor:
         """FAILED, SUCCEEDED or RUNNING as int64 ``[*batch]``; a fall is looked for first."""

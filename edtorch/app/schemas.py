@@ -211,6 +211,27 @@ class PlainStepConfig:
 
 
 @dataclass
+class RivalConfig:
+    """What searches instead of the learner; null: the learner."""
+
+    _target_: str | None = None
+
+
+@dataclass
+class RandomSearchConfig(RivalConfig):
+    """``edtorch.rivals.random_search.RandomSearch``; processes: of this many cores, null: all that
+    this process may use."""
+
+    policies: int = 100_000
+    runs: int = 30
+    low: float = -2.0
+    high: float = 2.0
+    slots: int = 1024
+    look: int = 128
+    processes: int | None = None
+
+
+@dataclass
 class BudgetConfig:
     """Per learner, whichever ends first; null: unlimited."""
 
@@ -228,10 +249,12 @@ class EvalConfig:
 
 @dataclass
 class ComputeConfig:
-    """precision: of the learner (the sim is float64); threads: of torch in this process."""
+    """precision: of the learner (the sim is float64); threads: of torch in this process; compile:
+    auto, on or off, for what can be compiled."""
 
     precision: str = "float64"
     threads: int = 1
+    compile: str = "auto"
 
 
 @dataclass
@@ -261,6 +284,7 @@ class TrainConfig:
     transform: Any = MISSING
     unroll: UnrollConfig = field(default_factory=UnrollConfig)
     step: Any = MISSING
+    rival: Any = MISSING
     train: BudgetConfig = field(default_factory=BudgetConfig)
     eval: EvalConfig = field(default_factory=EvalConfig)
     compute: ComputeConfig = field(default_factory=ComputeConfig)
@@ -310,6 +334,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "monte_carlo_schema": MonteCarloConfig,
     },
     "step": {"saturated_schema": SaturatedStepConfig, "plain_schema": PlainStepConfig},
+    "rival": {"rival_schema": RivalConfig, "random_search_schema": RandomSearchConfig},
 }
 
 

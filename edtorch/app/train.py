@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
+import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from edtorch.app.build import Setup, build, build_sim
 from edtorch.app.errors import guarded, refusing
 from edtorch.app.folders import remove_empty
 from edtorch.app.pictures import draw
+from edtorch.app.rival import build_search, is_rival, run_search
 from edtorch.app.rundir import CHECKPOINT, POLICY, SUMMARY, RunFolder, json_text
 from edtorch.app.signals import Interrupted, Stop
 from edtorch.app.summary import (
@@ -230,15 +232,35 @@ def _logging_to(folder: Path) -> Iterator[None]:
             handler.close()
 
 
+def _work(
+    config: DictConfig, folder: RunFolder, stop: Stop, began: float
+) -> tuple[list[int], Callable[[], dict[str, Any]]]:
+    """The seeds, and what there is to do: learn, or whatever a rival does instead."""
+    if is_rival(config):
+        search = build_search(config)
+        return [search.seed], lambda: run_search(search, config, folder.path, stop, Console())
+    setup = build(config)
+    return setup.seeds, lambda: _train(_Job(setup, config, folder, stop, Console(), began))
+
+
+def _headline(summary: dict[str, Any]) -> float:
+    """What a sweeper minimises: simulated seconds before the first ride, or for a rival those that
+    a policy costs that always reaches the goal."""
+    if "seconds_before_first_ride" in summary:
+        return float(summary["seconds_before_first_ride"]["median"])
+    cost = summary["simulated_seconds_per_goal_policy"]
+    return math.inf if cost is None else float(cost)
+
+
 def _run(config: DictConfig, folder: RunFolder, stop: Stop, began: float) -> dict[str, Any]:
     """The job from configuration to table; the folder says at any time what has become of it."""
-    setup = build(config)
+    seeds, work = _work(config, folder, stop, began)
     torch.set_num_threads(config.compute.threads)
-    folder.begin(config, setup.seeds)
+    folder.begin(config, seeds)
     try:
         with _logging_to(folder.path):
             try:
-                summary = _train(_Job(setup, config, folder, stop, Console(), began))
+                summary = work()
             except Exception:
                 logger.exception("failed")
                 raise
@@ -258,7 +280,7 @@ def _run(config: DictConfig, folder: RunFolder, stop: Stop, began: float) -> dic
 
 
 def _task(config: DictConfig) -> float:
-    """One job.  Returns the median seconds before the first ride, for sweepers to minimise."""
+    """One job.  Returns its headline figure, for sweepers to minimise."""
     settings = HydraConfig.get()
     alone = settings.mode == RunMode.RUN
     began = _STARTED if alone else time.monotonic()
@@ -271,7 +293,7 @@ def _task(config: DictConfig) -> float:
     finally:
         if not alone:
             remove_empty(folder.path, folder.path.parent)
-    return float(summary["seconds_before_first_ride"]["median"])
+    return _headline(summary)
 
 
 def main() -> None:
