@@ -14,7 +14,6 @@ import io
 import os
 import pickle
 import platform
-import shutil
 import sys
 import tempfile
 import time
@@ -29,20 +28,14 @@ from torch import Tensor
 from torch._inductor import aoti_compile_and_package, aoti_load_package
 from torch.utils import _pytree as pytree
 
+from edtorch.compilation import CannotCompile, check_compiler
 from edtorch.streams import Draw
 from edtorch.tick import Population, Tick
-
-SUPPORTED = ((2, 13), (2, 14))
-"""torch from this version on and before that one: of others it is not known whether they can."""
 
 OPTIONS = {"memory_planning": True, "cpp.threads": 1}
 """Of the compiler: one allocation for all intermediate results of a tick; one thread."""
 
 aten = torch.ops.aten
-
-
-class CannotCompile(RuntimeError):
-    """A program cannot be had; the message says why and what would help."""
 
 
 def last(tensor: Tensor) -> Tensor:
@@ -188,22 +181,6 @@ class Program:
     size: int
     spec: pytree.TreeSpec
     seconds: float | None
-
-
-def check_compiler() -> None:
-    """Raises CannotCompile where programs can neither be made nor trusted."""
-    version = tuple(int(part) for part in torch.__version__.split(".")[:2])
-    if not SUPPORTED[0] <= version < SUPPORTED[1]:
-        first_bad = ".".join(map(str, SUPPORTED[1]))
-        raise CannotCompile(
-            f"torch {torch.__version__} is outside of the range in which compiling has been tested,"
-            f" {'.'.join(map(str, SUPPORTED[0]))} up to but not {first_bad}: install one of these"
-        )
-    named = os.environ.get("CXX")
-    if not any(shutil.which(name) for name in ([named] if named else ["g++", "clang++"])):
-        raise CannotCompile(
-            f"no C++ compiler found ({named or 'g++ or clang++'}): install one, or name it in CXX"
-        )
 
 
 def cache_folder() -> Path:

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -141,6 +142,7 @@ class Bicycle:
     action_scale: Mapping[str, float] = field(default_factory=dict, hash=False)
     physics: Physics = RANDLOV
     integrate: Integrator = semi_implicit
+    traceable: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -26,6 +27,8 @@ class LinearSystem:
     Arguments: ``state_matrix`` F ``[n][n]``, ``action_matrix`` G ``[n][m]``; ``noise``: standard
     deviation; ``start`` above 0; ``dt`` and ``time_limit`` in s.  ValueError names what is wrong.
     """
+
+    traceable: ClassVar[bool] = True
 
     def __init__(
         self,

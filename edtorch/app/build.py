@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import torch
@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.compute import Compute, check_device, check_memory, plan
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
 from edtorch.checkpoint import PolicyCard
@@ -24,6 +25,7 @@ from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
 from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
+from edtorch.tick import Tick
 from edtorch.unroll import Horizon
 from edtorch.value_error import ValueErrorIndicator
 from edtorch.world import World
@@ -35,7 +37,6 @@ FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
     "pairwise": Pairwise,
     "trigonometric": Trigonometric,
 }
-PRECISIONS = {"float64": torch.float64, "float32": torch.float32}
 
 
 def build_features(key: str, config: Any, inputs: int, seed: int) -> FeatureMap:
@@ -81,7 +82,9 @@ def _weights(key: str, config: Mapping[str, float], quantities: tuple[Quantity, 
             raise ConfigError(f"{key}.{name}={weight}: expected one of {', '.join(names)}")
         at_least(f"{key}.{name}", weight, 0)
     return torch.diag(
-        torch.tensor([config.get(q.name, 0.0) * q.scale**2 for q in quantities]).to(torch.float64)
+        torch.tensor(
+            [config.get(q.name, 0.0) * q.scale**2 for q in quantities], dtype=torch.float64
+        )
     )
 
 
@@ -150,15 +153,6 @@ def policy_card(sim: Sim, policy: LinearPolicy, seeds: list[int]) -> PolicyCard:
     )
 
 
-def build_precision(config: Any) -> torch.dtype:
-    """The learner's number type."""
-    if config.precision not in PRECISIONS:
-        raise ConfigError(
-            f"compute.precision={config.precision}: expected one of {', '.join(PRECISIONS)}"
-        )
-    return PRECISIONS[config.precision]
-
-
 def _build_budget(config: Any) -> Budget:
     if config.seconds is not None and not (math.isfinite(config.seconds) and config.seconds > 0):
         raise ConfigError(f"train.seconds={config.seconds}: expected a finite number > 0, or null")
@@ -174,7 +168,11 @@ def _build_budget(config: Any) -> Budget:
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything that a training run is made of."""
+    """Everything that a training run is made of.
+
+    path: how value and gradient are found, in words; compiled: the same learner as a compiler wants
+    it, None if it is not to be compiled.
+    """
 
     learner: Learner
     world: World
@@ -183,6 +181,8 @@ class Setup:
     card: PolicyCard
     path: str
     indicator: ValueErrorIndicator | None
+    compute: Compute
+    compiled: Learner | None
 
 
 def build(config: DictConfig) -> Setup:
@@ -194,10 +194,28 @@ def build(config: DictConfig) -> Setup:
     at_least("compute.threads", config.compute.threads, 1)
     at_least("log.every", config.log.every, 1)
     at_least("log.checkpoint", config.log.checkpoint, config.log.every)
+    at_least("compute.compile_after", config.compute.compile_after, 0)
+    check_device(config.compute)
     budget = _build_budget(config.train)
-
-    dtype = build_precision(config.compute)
     sim = build_sim(config.domain)
+    compute = plan(config.compute, budget, World(sim), config.seeds)
+    setup = _assemble(config, sim, budget, compute)
+    if compute.compiled and setup.compiled is None:
+        if compute.required:
+            raise ConfigError(
+                "compute.compile=on: expected a closed form to compile, but this run takes the "
+                f"{setup.path}"
+            )
+        compute = replace(compute, compiled=False)
+        if config.compute.precision == "auto":
+            compute = replace(compute, dtype=torch.float64)
+        setup = _assemble(config, sim, budget, compute)
+    check_memory(Tick(setup.learner, setup.world, budget), config.seeds)
+    return setup
+
+
+def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) -> Setup:
+    dtype = compute.dtype
     world = World(sim, dtype)
     model = _build_model(config.model, world, dtype, config.seed)
     policy = build_policy(config.policy, sim, dtype, config.seed)
@@ -262,4 +280,7 @@ def build(config: DictConfig) -> Setup:
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
     seeds = [config.seed + k for k in range(config.seeds)]
     card = policy_card(sim, policy, seeds)
-    return Setup(learner, world, seeds, budget, card, choice.reason, indicator)
+    compiled = None
+    if compute.compiled and choice.compiled is not None:
+        compiled = replace(learner, value=choice.compiled)
+    return Setup(learner, world, seeds, budget, card, choice.reason, indicator, compute, compiled)

@@ -16,12 +16,12 @@ from rich.console import Console
 from rich.table import Table
 
 from edtorch.app import schemas
-from edtorch.app.build import build_policy, build_precision, build_sim, policy_card
+from edtorch.app.build import build_policy, build_sim, policy_card
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing, unknown_key
 from edtorch.app.rundir import CONFIG, POLICY, command_line, json_text, load_config, versions
 from edtorch.app.signals import Stop
-from edtorch.checkpoint import FileProblem, load_policy, write_text
+from edtorch.checkpoint import FileProblem, load_policy, policy_dtype, write_text
 from edtorch.evaluation import evaluate
 from edtorch.records import Episode
 from edtorch.report.statistics import evaluation_figures
@@ -87,8 +87,8 @@ def _evaluate(config: DictConfig) -> float:
             if config.policy is None
             else ConfigError(f"policy={path}: no such file")
         )
-    dtype = build_precision(run_config.compute)
     sim = build_sim(_domain(folder, run_config, config.domain))
+    dtype = policy_dtype(path)
     world = World(sim, dtype)
     policy = build_policy(run_config.policy, sim, dtype, run_config.seed)
     seeds = [run_config.seed + k for k in range(run_config.seeds)]

@@ -8,7 +8,7 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -19,8 +19,9 @@ from rich.text import Text
 from torch import Tensor
 from torch.utils.tensorboard.writer import SummaryWriter
 
-from edtorch.app.build import build_policy, build_precision, build_sim, policy_card
+from edtorch.app.build import build_policy, build_sim, policy_card
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
@@ -68,10 +69,7 @@ def build_search(config: DictConfig) -> SearchSetup:
     at_least("compute.threads", config.compute.threads, 1)
     if config.seeds != 1:
         raise ConfigError(f"seeds={config.seeds}: expected 1 with a rival; vary seed in a sweep")
-    if config.compute.compile not in get_args(Wish):
-        raise ConfigError(
-            f"compute.compile={config.compute.compile}: expected one of {', '.join(get_args(Wish))}"
-        )
+    check_choices(config.compute)
     processes = config.rival.get("processes")
     if processes is None:
         processes = len(os.sched_getaffinity(0))
@@ -80,7 +78,7 @@ def build_search(config: DictConfig) -> SearchSetup:
     settings = construct("rival", OmegaConf.masked_copy(config.rival, keys))
     if not isinstance(settings, RandomSearch):
         raise ConfigError(f"rival._target_={config.rival._target_}: expected RandomSearch")
-    dtype = build_precision(config.compute)
+    dtype = torch.float32 if config.compute.precision == "mixed" else torch.float64
     sim = build_sim(config.domain)
     policy = build_policy(config.policy, sim, dtype, config.seed)
     return SearchSetup(

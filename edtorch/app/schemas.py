@@ -249,12 +249,15 @@ class EvalConfig:
 
 @dataclass
 class ComputeConfig:
-    """precision: of the learner (the sim is float64); threads: of torch in this process; compile:
-    auto, on or off, for what can be compiled."""
+    """precision: auto, float64 or mixed (learner float32, sim float64); threads: of torch in this
+    process; compile: auto, on or off; compile_after: ticks before learning goes on compiled;
+    device: cpu or cuda."""
 
-    precision: str = "float64"
+    precision: str = "auto"
     threads: int = 1
     compile: str = "auto"
+    compile_after: int = 500
+    device: str = "cpu"
 
 
 @dataclass

@@ -22,7 +22,7 @@ from rich.console import Console
 
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build, build_sim
-from edtorch.app.errors import guarded, refusing
+from edtorch.app.errors import ConfigError, guarded, refusing
 from edtorch.app.folders import remove_empty
 from edtorch.app.pictures import draw
 from edtorch.app.rival import build_search, is_rival, run_search
@@ -37,9 +37,12 @@ from edtorch.app.summary import (
     summary_table,
 )
 from edtorch.checkpoint import save_policy, save_training, write_text
+from edtorch.compilation import CannotCompile
 from edtorch.evaluation import evaluate
 from edtorch.interact import Training
+from edtorch.learner import Learner
 from edtorch.log import ConsoleSink, CsvSink, Sink, StderrHandler, TensorBoardSink
+from edtorch.tiles import Tiles
 from edtorch.trouble import CovarianceFloored
 from edtorch.world import World
 
@@ -47,7 +50,7 @@ logger = logging.getLogger("edtorch")
 
 _STARTED = time.monotonic() - time.process_time()
 """When the process began, near enough: until now it has only imported."""
-_PIECE = 20
+_PIECE = 64
 """Ticks between two looks at whether to stop."""
 
 
@@ -109,14 +112,44 @@ def _advance(training: Training, ticks: int, stop: Stop) -> None:
             raise _Stopped
 
 
+def _go_on_compiled(training: Training, learner: Learner, *, required: bool) -> None:
+    """From now on by a compiled program; without one, as before, if that is allowed."""
+    began = time.monotonic()
+    logger.info("compiling the tick, unless that has been done before...")
+    try:
+        tick = dataclasses.replace(training.tick, learner=learner)
+        stage = Tiles(tick, training.stage.population, training.seeds)
+    except CannotCompile as error:
+        if required:
+            raise ConfigError(f"compute.compile=on: {error}") from error
+        logger.warning("not compiled, and several times slower for it: %s", error)
+        return
+    training.stage = stage
+    how = "from the cache" if stage.program.seconds is None else "kept for the next run"
+    logger.info(
+        "compiled from tick %d on, in tiles of %d learners (%.1f s, %s)",
+        training.clock,
+        stage.program.size,
+        time.monotonic() - began,
+        how,
+    )
+
+
 def _learn(job: _Job, training: Training, sinks: list[Sink]) -> None:
     """Run the loop to the end of every budget, reporting on the way."""
-    log = job.config.log
+    log, after = job.config.log, job.setup.compute.after
     per_snapshot = max(1, round(log.every / training.world.dt))
     next_save = log.checkpoint
     reported, warned, floored = 0, set(), set()
+    waiting = job.setup.compiled
     while not training.done:
-        _advance(training, per_snapshot, job.stop)
+        if waiting is not None and training.clock >= after:
+            _go_on_compiled(training, waiting, required=job.setup.compute.required)
+            waiting = None
+        ticks = per_snapshot
+        if waiting is not None:
+            ticks = min(ticks, after - training.clock)
+        _advance(training, ticks, job.stop)
         snapshot = training.snapshot()
         if job.setup.indicator is not None:
             estimate = job.setup.indicator(training.learners, training.worlds.observation)
@@ -173,7 +206,8 @@ def _train(job: _Job) -> dict[str, Any]:
     stride = max(1, setup.world.limit_ticks // 10_000)
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget, stride)
     title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
-    logger.info("%s; %s", title, setup.path)
+    precision = "float64" if setup.world.dtype == torch.float64 else "mixed precision"
+    logger.info("%s; %s; %s", title, setup.path, precision)
     timing = Timing(startup_s=time.monotonic() - job.began)
     sinks, board = _sinks(job)
     try:

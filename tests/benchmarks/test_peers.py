@@ -16,11 +16,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from benchmarks import paper
 from benchmarks.bicycle import draws, numbers, paper_training
 from edtorch.closed_form import (
-    LinearMeanOnly,
-    LinearMoment,
     mean_value_and_gradient,
     moment_value_and_gradient,
 )
@@ -153,11 +150,6 @@ BLOCK, BLOCKS = 16, 7
 def eventful_training(covariance: bool) -> Training:
     """The paper's bicycle, about to fall (learners 0 and 1), to arrive (2), to be timed out (3)."""
     training = paper_training(6, covariance=covariance)
-    path = training.learner.value
-    assert isinstance(path, LinearMeanOnly | LinearMoment)
-    # A configuration's cost is rounded to float32, that of the peers is not.
-    cost = torch.diag(torch.tensor(paper.STATE_COST, dtype=torch.float64))
-    path.reward.state_cost.copy_(cost)
     here = training.worlds
     world, begun = here.world.clone(), here.begun.clone()
     world[0, 2], world[0, 3] = 0.2, 0.5
