@@ -287,7 +287,7 @@ class TrainConfig:
     transform: Any = MISSING
     unroll: UnrollConfig = field(default_factory=UnrollConfig)
     step: Any = MISSING
-    rival: Any = MISSING
+    rival: Any = field(default_factory=RivalConfig)
     train: BudgetConfig = field(default_factory=BudgetConfig)
     eval: EvalConfig = field(default_factory=EvalConfig)
     compute: ComputeConfig = field(default_factory=ComputeConfig)
