@@ -11,11 +11,20 @@ from edtorch.app import schemas
 from edtorch.app.build import Setup, build
 from edtorch.interact import Training
 from edtorch.streams import Purpose, Streams, stream_key
+from edtorch.tiles import Tiles
+from edtorch.types import replace
 
 Array = np.ndarray[Any, Any]
 
 
-def paper_setup(size: int, *, covariance: bool = False, path: str = "auto") -> Setup:
+def paper_setup(
+    size: int,
+    *,
+    covariance: bool = False,
+    path: str = "auto",
+    compile: str = "off",
+    precision: str = "float64",
+) -> Setup:
     """experiment=bicycle_paper with ``size`` learners that never stop."""
     schemas.register()
     transform = "first" if covariance else "mean_only"
@@ -28,6 +37,8 @@ def paper_setup(size: int, *, covariance: bool = False, path: str = "auto") -> S
                 f"transform={transform}",
                 f"unroll.path={path}",
                 "train.seconds=1e9",
+                f"compute.compile={compile}",
+                f"compute.precision={precision}",
             ],
         )
     return build(config)
@@ -37,6 +48,16 @@ def paper_training(size: int, *, covariance: bool = False) -> Training:
     """A population at its first tick."""
     setup = paper_setup(size, covariance=covariance)
     return Training(setup.learner, setup.world, setup.seeds, setup.budget)
+
+
+def compiled_training(size: int, *, covariance: bool = False, precision: str) -> Training:
+    """The same on compiled ticks."""
+    setup = paper_setup(size, covariance=covariance, compile="on", precision=precision)
+    training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
+    assert setup.compiled is not None
+    tick = replace(training.tick, learner=setup.compiled)
+    training.stage = Tiles(tick, training.stage.population, setup.seeds)
+    return training
 
 
 def numbers(training: Training) -> dict[str, Array]:

@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from benchmarks.bicycle import draws, numbers, paper_setup, paper_training
+from benchmarks.bicycle import compiled_training, draws, numbers, paper_setup, paper_training
 from benchmarks.timing import Work, interleaved, print_table, write_json
 from edtorch.interact import Training
 
@@ -36,6 +37,10 @@ def rows(size: int, covariance: bool) -> dict[str, Work]:
     training = paper_training(size, covariance=covariance)
     training.advance(WARM_UP)
     found: dict[str, Work] = {"edtorch eager, float64": lambda: training.advance(BLOCK)}
+    for precision in ("float64", "mixed"):
+        compiled = compiled_training(size, covariance=covariance, precision=precision)
+        compiled.advance(WARM_UP)
+        found[f"edtorch compiled, {precision}"] = partial(compiled.advance, BLOCK)
     if importlib.util.find_spec("jax") is not None:
         for precision, dtype in (("float64", "float64"), ("mixed", "float32")):
             found[f"JAX, {precision}"] = jax_row(training, "ticks", dtype)

@@ -19,19 +19,24 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from benchmarks.timing import Work, interleaved, print_table, write_json
-from edtorch.dispatch import Wish, choose_path
+from edtorch.dispatch import MOST_RECURSIVE_STEPS, Choice, Wish, choose_path
 from edtorch.features import Identity
+from edtorch.innermost import first, stored
 from edtorch.models import DerivativeModel
 from edtorch.noise import ResidualNoise
 from edtorch.policies import LinearPolicy
+from edtorch.program import compile_graph
 from edtorch.rewards import QuadraticReward
+from edtorch.tiles import LARGEST_TILE, VECTOR
 from edtorch.transform import FirstOrder, MeanOnly
-from edtorch.unroll import Horizon
+from edtorch.unroll import Horizon, ValuePath
 
 ACTIONS = {5: 2, 14: 5, 32: 10}
 """m by n: a bicycle, an arm, something larger."""
@@ -94,8 +99,8 @@ def edtorch_rows(problem: Problem, memory: float) -> dict[str, Work]:
         for array in (problem.weight, problem.theta, problem.start, problem.noise)
     )
 
-    def row(wish: Wish) -> Work:
-        path = choose_path(
+    def choice(wish: Wish) -> Choice:
+        return choose_path(
             wish,
             model,
             policy,
@@ -103,7 +108,10 @@ def edtorch_rows(problem: Problem, memory: float) -> dict[str, Work]:
             FirstOrder() if size.covariance else MeanOnly(),
             problem.horizon,
             noise=ResidualNoise(1.0) if size.covariance else None,
-        ).path
+        )
+
+    def row(wish: Wish) -> Work:
+        path = choice(wish).path
 
         def work() -> object:
             with torch.no_grad() if path.needs_autograd else torch.inference_mode():
@@ -117,7 +125,33 @@ def edtorch_rows(problem: Problem, memory: float) -> dict[str, Work]:
         rows["edtorch generic"] = row("generic")
     if 2 * size.tape() <= memory:
         rows["edtorch closed form"] = row("closed_form")
+    if size.steps <= MOST_RECURSIVE_STEPS or not size.covariance:
+        value = choice("closed_form").compiled
+        assert value is not None
+        # One vector of the processor at least, as the tiles of a population are.
+        repeats = max(1, VECTOR // size.learners)
+        arguments = [torch.cat([x] * repeats) for x in (weight, theta, noise, start)]
+        rows["edtorch compiled"] = compiled_row(value, arguments)
     return rows
+
+
+class ValueGraph(torch.nn.Module):
+    """A path to value and gradient as a function of tensors stored batch last."""
+
+    def __init__(self, value: ValuePath) -> None:
+        super().__init__()
+        self.value = value
+
+    def forward(self, weight: Tensor, theta: Tensor, noise: Tensor, start: Tensor) -> Any:
+        weight, theta, noise, start = (first(x) for x in (weight, theta, noise, start))
+        found = self.value({"weight": weight}, {"weight": theta}, {"nu": noise}, start)
+        return found.value, stored(found.gradient["weight"])
+
+
+def compiled_row(value: ValuePath, arguments: list[Tensor]) -> Work:
+    tiles = [[stored(x) for x in tile] for tile in zip(*(x.split(LARGEST_TILE) for x in arguments))]
+    program = compile_graph(ValueGraph(value), value, [], tuple(tiles[0]), tiles[0][0].shape[-1])
+    return lambda: [program.run(list(tile)) for tile in tiles]
 
 
 def jax_rows(problem: Problem, memory: float) -> dict[str, Work]:

@@ -75,8 +75,8 @@ def plan(config: Any, budget: Budget, world: World, learners: int) -> Compute:
     if required:
         if not getattr(world.sim, "traceable", False):
             raise ConfigError(
-                f"compute.compile=on: expected a domain that can be compiled; {world.spec.name} does"
-                " not say so of itself (traceable)"
+                "compute.compile=on: expected a domain that can be compiled;"
+                f" {world.spec.name} does not say so of itself (traceable)"
             )
         try:
             check_compiler()

@@ -235,7 +235,7 @@ def _train(job: _Job) -> dict[str, Any]:
     write_text(job.path / SUMMARY, json_text(summary))
     console.print(summary_table(summary, title))
     if summary["never_rode"]:
-        console.print(f"never rode: seeds {summary['never_rode']}", soft_wrap=True)
+        console.print(_never_rode(summary["never_rode"]), soft_wrap=True)
     console.print(
         f"learning {timing.wall_s:.1f} s ({timing.ticks_per_cpu_s:.0f} learner ticks per CPU s),"
         f" evaluation {timing.eval_s:.1f} s, pictures {timing.figures_s:.1f} s",
@@ -243,6 +243,12 @@ def _train(job: _Job) -> dict[str, Any]:
     )
     console.print(f"run folder: {job.path}", soft_wrap=True)
     return summary
+
+
+def _never_rode(seeds: list[int], most: int = 20) -> str:
+    listed = ", ".join(map(str, seeds[:most]))
+    more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
+    return f"never rode: seeds {listed}{more}"
 
 
 @contextlib.contextmanager
