@@ -149,7 +149,8 @@ class ValueGraph(torch.nn.Module):
 
 
 def compiled_row(value: ValuePath, arguments: list[Tensor]) -> Work:
-    tiles = [[stored(x) for x in tile] for tile in zip(*(x.split(LARGEST_TILE) for x in arguments))]
+    split = (x.split(LARGEST_TILE) for x in arguments)
+    tiles = [[stored(x) for x in tile] for tile in zip(*split, strict=True)]
     program = compile_graph(ValueGraph(value), value, [], tuple(tiles[0]), tiles[0][0].shape[-1])
     return lambda: [program.run(list(tile)) for tile in tiles]
 

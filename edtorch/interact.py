@@ -56,6 +56,11 @@ class Stage(Protocol):
         """The population now, ``[B, ...]``."""
         ...
 
+    @property
+    def done(self) -> bool:
+        """Whether everybody has used up the budget."""
+        ...
+
     def replace(self, population: Population) -> None:
         """Go on with another one of the same size."""
         ...
@@ -77,6 +82,11 @@ class Eager:
         self._streams = streams
         self._everybody = slice(0, len(population.worlds.active))
         self.population = population
+
+    @property
+    def done(self) -> bool:
+        """See ``Stage``."""
+        return not bool(self.population.worlds.active.any())
 
     def replace(self, population: Population) -> None:
         """See ``Stage``."""
@@ -105,7 +115,7 @@ class Eager:
                     outcome=outcome,
                 )
                 note([moment])
-            if ended and not bool(here.worlds.active.any()):
+            if ended and self.done:
                 return now - clock
         return ticks
 
@@ -176,7 +186,7 @@ class Training:
     @property
     def done(self) -> bool:
         """Whether every learner has used up its budget."""
-        return not bool(self.worlds.active.any())
+        return self.stage.done
 
     @property
     def seconds(self) -> float:
@@ -266,4 +276,4 @@ class Training:
 def learning_streams(world: World, seeds: Sequence[int]) -> Streams:
     """What the learners of these seeds draw."""
     keys = [stream_key(seed, Purpose.LEARNING) for seed in seeds]
-    return Streams(keys, world.uniforms, len(world.spec.action), world.dtype)
+    return Streams(keys, world.uniforms, len(world.spec.action), world.dtype, world.device)

@@ -80,6 +80,7 @@ class Learner:
         """Learners that know nothing yet, one per seed."""
         size = len(seeds)
         model = population(self.model, size)
+        device = model["weight"].device
         policy = population(self.policy, size)
         return LearnerState(
             model=model,
@@ -87,9 +88,9 @@ class Learner:
             fit=self.fit.initial(model["weight"]),
             noise={} if self.noise is None else self.noise.initial(model["weight"]),
             step=self.step_rule.initial(policy),
-            seed=torch.tensor(list(seeds), dtype=torch.int64),
-            tick=torch.zeros(size, dtype=torch.int64),
-            sound_ticks=torch.zeros(size, dtype=torch.int64),
+            seed=torch.tensor(list(seeds), dtype=torch.int64, device=device),
+            tick=torch.zeros(size, dtype=torch.int64, device=device),
+            sound_ticks=torch.zeros(size, dtype=torch.int64, device=device),
         )
 
     def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:

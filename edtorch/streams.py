@@ -53,11 +53,13 @@ class Streams:
         uniforms: int,
         normals: int,
         dtype: torch.dtype = torch.float64,
+        device: torch.device | None = None,
     ) -> None:
         self._keys = [np.array(key, dtype=np.uint64) for key in keys]
         self._uniforms = uniforms
         self._normals = normals
         self._dtype = dtype
+        self._device = device
         self._block = -1
         self._uniform = torch.empty(0)
         self._normal = torch.empty(0)
@@ -86,4 +88,5 @@ class Streams:
 
     def _laid_out(self, numbers: np.ndarray) -> Tensor:
         """``[B, BLOCK, k]`` as it is stored: ``[BLOCK, k, B]``, the population innermost."""
-        return torch.from_numpy(numbers).to(self._dtype).permute(1, 2, 0).contiguous()
+        turned = torch.from_numpy(numbers).to(self._dtype).permute(1, 2, 0).contiguous()
+        return turned.to(self._device)

@@ -25,9 +25,13 @@ PIECE = 16
 """Ticks of one tile before it is the next one's turn, and before anybody looks at what ended."""
 
 
-def tile_size(learners: int) -> int:
-    """The size of the tiles of a population; the last one may be padded."""
-    return min(LARGEST_TILE, -(-learners // VECTOR) * VECTOR)
+def tile_size(learners: int, device: torch.device) -> int:
+    """The size of the tiles of a population; the last one may be padded.
+
+    A GPU wants everybody at once: its tile is the population.
+    """
+    whole = -(-learners // VECTOR) * VECTOR
+    return min(LARGEST_TILE, whole) if device.type == "cpu" else whole
 
 
 def _padded(population: Population, rows: slice, size: int) -> Population:
@@ -57,7 +61,7 @@ class Tiles:
 
     def __init__(self, tick: Tick, population: Population, seeds: Sequence[int]) -> None:
         """Compile, or fetch what has been compiled before.  Raises CannotCompile."""
-        self._size = tile_size(len(seeds))
+        self._size = tile_size(len(seeds), tick.world.device)
         self._tiles: list[_Tile] = []
         for start in range(0, len(seeds), self._size):
             rows = slice(start, min(start + self._size, len(seeds)))
@@ -82,6 +86,11 @@ class Tiles:
             self._population = population
         return population
 
+    @property
+    def done(self) -> bool:
+        """See ``Stage``."""
+        return all(tile.done for tile in self._tiles)
+
     def replace(self, population: Population) -> None:
         """See ``Stage``."""
         self._population: Population | None = population
@@ -99,7 +108,7 @@ class Tiles:
                     note(self._live(tile, began, piece, stride))
                     tile.done = not bool(tile.leaves[_at(self._place.worlds.active)].any())
             self._population = None
-            if all(tile.done for tile in self._tiles):
+            if self.done:
                 return began + piece - clock
         return ticks
 
@@ -109,7 +118,7 @@ class Tiles:
         worlds = self._place.worlds
         start, begun = _at(worlds.start), _at(worlds.begun)
         episodes, active = _at(worlds.episodes), _at(worlds.active)
-        clocks = torch.arange(clock + 1, clock + ticks + 1)
+        clocks = torch.arange(clock + 1, clock + ticks + 1, device=tile.leaves[0].device)
         leaves, moments = tile.leaves, []
         for offset in range(ticks):
             uniform, normal = tile.streams.stored(clock + offset + 1)

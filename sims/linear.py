@@ -83,7 +83,8 @@ class LinearSystem:
         # Box and Muller (1958); 1 - u keeps the logarithm finite.
         radius, angle = uniforms.chunk(2, dim=-1)
         normal = (-2 * torch.log1p(-radius)).sqrt() * (2 * math.pi * angle).cos()
-        moved = (state.unsqueeze(-2) * self._F).sum(-1) + (action.unsqueeze(-2) * self._G).sum(-1)
+        F, G = self._F.to(state.device), self._G.to(state.device)
+        moved = (state.unsqueeze(-2) * F).sum(-1) + (action.unsqueeze(-2) * G).sum(-1)
         return moved + self._noise * normal
 
     def observe(self, state: Tensor) -> Tensor:

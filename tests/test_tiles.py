@@ -38,7 +38,10 @@ def on_tiles(seeds: list[int], budget: Budget, *, rich: bool = False) -> Trainin
 
 
 def test_the_size_of_a_tile() -> None:
-    assert [tile_size(b) for b in (1, 16, 17, 256, 257, 100_000)] == [16, 16, 32, 256, 256, 256]
+    cpu, gpu = torch.device("cpu"), torch.device("cuda")
+    sizes = [tile_size(b, cpu) for b in (1, 16, 17, 256, 257, 100_000)]
+    assert sizes == [16, 16, 32, 256, 256, 256]
+    assert tile_size(100_001, gpu) == 100_016
     assert LARGEST_TILE % VECTOR == 0
 
 

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
-from edtorch.app.compute import Compute, check_device, check_memory, plan
+from edtorch.app.compute import Compute, check_memory, plan
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
 from edtorch.checkpoint import PolicyCard
@@ -88,7 +88,9 @@ def _weights(key: str, config: Mapping[str, float], quantities: tuple[Quantity, 
     )
 
 
-def build_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticReward:
+def build_reward(
+    config: Any, sim: Sim, dtype: torch.dtype, device: torch.device | None = None
+) -> QuadraticReward:
     """The shaping reward, in scaled units."""
     if not any(weight > 0 for weight in config.state.values()):
         names = ", ".join(q.name for q in sim.spec.state)
@@ -97,7 +99,7 @@ def build_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticReward:
         )
     state = _weights("reward.state", config.state, sim.spec.state)
     action = _weights("reward.action", config.action, sim.spec.action)
-    return QuadraticReward(state.to(dtype), action.to(dtype))
+    return QuadraticReward(state.to(device, dtype), action.to(device, dtype))
 
 
 def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> LinearPolicy:
@@ -195,7 +197,6 @@ def build(config: DictConfig) -> Setup:
     at_least("log.every", config.log.every, 1)
     at_least("log.checkpoint", config.log.checkpoint, config.log.every)
     at_least("compute.compile_after", config.compute.compile_after, 0)
-    check_device(config.compute)
     budget = _build_budget(config.train)
     sim = build_sim(config.domain)
     compute = plan(config.compute, budget, World(sim), config.seeds)
@@ -210,16 +211,15 @@ def build(config: DictConfig) -> Setup:
         if config.compute.precision == "auto":
             compute = replace(compute, dtype=torch.float64)
         setup = _assemble(config, sim, budget, compute)
-    check_memory(Tick(setup.learner, setup.world, budget), config.seeds)
     return setup
 
 
 def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) -> Setup:
-    dtype = compute.dtype
-    world = World(sim, dtype)
-    model = _build_model(config.model, world, dtype, config.seed)
-    policy = build_policy(config.policy, sim, dtype, config.seed)
-    reward = build_reward(config.reward, sim, dtype)
+    dtype, device = compute.dtype, compute.device
+    world = World(sim, dtype, device)
+    model = _build_model(config.model, world, dtype, config.seed).to(device)
+    policy = build_policy(config.policy, sim, dtype, config.seed).to(device)
+    reward = build_reward(config.reward, sim, dtype, device)
     transform = construct(
         "transform",
         config.transform,
@@ -253,7 +253,9 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
             f"unroll.start_deviation={config.unroll.start_deviation}: expected 0 with this "
             "transform, which leaves the covariance out; transform=first takes it in"
         )
-    start_cov = config.unroll.start_deviation**2 * torch.eye(model.states, dtype=dtype)
+    start_cov = config.unroll.start_deviation**2 * torch.eye(
+        model.states, dtype=dtype, device=device
+    )
     try:
         choice = choose_path(
             config.unroll.path,
@@ -277,6 +279,7 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
             step_rule=construct("step", config.step, "initial"),
             exploration=config.noise.exploration,
         )
+    check_memory(Tick(learner, world, budget), config.seeds)
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
     seeds = [config.seed + k for k in range(config.seeds)]
     card = policy_card(sim, policy, seeds)

@@ -30,10 +30,11 @@ _BYTES = 8
 
 @dataclass(frozen=True)
 class Compute:
-    """precision: of the learner; compiled: whether its ticks are, if they can be; required: whether
-    it is an error if they cannot; after: the tick from which on."""
+    """dtype: of the learner; device: of everything; compiled: whether its ticks are, if they can
+    be; required: whether it is an error if they cannot; after: the tick from which on."""
 
     dtype: torch.dtype
+    device: torch.device
     compiled: bool
     required: bool
     after: int
@@ -63,6 +64,16 @@ def check_choices(config: Any) -> None:
             )
 
 
+def _device(name: str) -> torch.device:
+    """The device of the run; ConfigError if it is not there."""
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(
+            f"compute.device=cuda: torch {torch.__version__} finds no CUDA device; expected cpu, or"
+            " a machine with one and a torch that is built for it"
+        )
+    return torch.device(name)
+
+
 def plan(config: Any, budget: Budget, world: World, learners: int) -> Compute:
     """From the group ``compute``; raises ConfigError."""
     check_choices(config)
@@ -84,17 +95,8 @@ def plan(config: Any, budget: Budget, world: World, learners: int) -> Compute:
             raise ConfigError(f"compute.compile=on: {error}") from error
     single = config.precision == "mixed" or (config.precision == "auto" and compiled)
     after = config.compile_after if learners <= LARGEST_UNCOMPILED else 0
-    return Compute(torch.float32 if single else torch.float64, compiled, required, after)
-
-
-def check_device(config: Any) -> torch.device:
-    """The device of the run; ConfigError if it is not there."""
-    if config.device == "cuda" and not torch.cuda.is_available():
-        raise ConfigError(
-            f"compute.device=cuda: torch {torch.__version__} finds no CUDA device; expected cpu, or"
-            " a machine with one and a torch that is built for it"
-        )
-    return torch.device(config.device)
+    dtype = torch.float32 if single else torch.float64
+    return Compute(dtype, _device(config.device), compiled, required, after)
 
 
 def needed_bytes(tick: Tick, learners: int) -> int:
@@ -112,8 +114,11 @@ def needed_bytes(tick: Tick, learners: int) -> int:
 
 def check_memory(tick: Tick, learners: int) -> None:
     """Refuse a population that the machine has no memory for; ConfigError."""
-    needed = needed_bytes(tick, learners)
-    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    needed, device = needed_bytes(tick, learners), tick.world.device
+    if device.type == "cuda":
+        free, _ = torch.cuda.mem_get_info(device)
+    else:
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if needed > free:
         raise ConfigError(
             f"seeds={learners}: takes about {needed / 2**30:.1f} GiB of memory,"

@@ -218,7 +218,7 @@ def _train(job: _Job) -> dict[str, Any]:
             if episodes:
                 console.print(f"{episodes} fresh episodes for each policy...")
                 # A world of its own: one that wraps a simulator is still in its last episode.
-                world = World(build_sim(config.domain), setup.world.dtype)
+                world = World(build_sim(config.domain), setup.world.dtype, setup.world.device)
                 policy, parameters = setup.learner.policy, training.learners.policy
                 evaluated = evaluate(policy, parameters, world, setup.seeds, episodes)
         with _timed(timing, "figures_s"):
