@@ -142,7 +142,7 @@ class Training:
         self.budget = budget
         self.clock = 0
         self.episodes: list[Episode] = []
-        self.tick = Tick(learner, world, budget)
+        self.tick = Tick(learner, world, budget.episodes, budget.rides)
         streams = learning_streams(world, self.seeds)
         first = self.tick.first(learner.initial(self.seeds), streams.at(0))
         self.stage: Stage = Eager(self.tick, first, streams)

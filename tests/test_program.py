@@ -27,9 +27,11 @@ def test_a_program_is_named_by_all_that_it_depends_on() -> None:
     # What a sim has computed for later says nothing new.
     assert same.world.sim.spec.name == "bicycle"
     assert key(tick) == key(same)
+    longer = training_and_tick([1], Budget(seconds=99.0))[1]
+    assert key(tick) == key(longer)
     others = [
         training_and_tick([1], budget, rich=True)[1],
-        replace(tick, budget=Budget(rides=1)),
+        replace(tick, most_rides=1),
         replace(tick, learner=replace(tick.learner, exploration=0.1)),
         replace(tick, world=World(Bicycle(noise=0.01))),
         replace(tick, world=World(Bicycle(), torch.float32)),

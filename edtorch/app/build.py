@@ -25,7 +25,6 @@ from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
 from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
-from edtorch.tick import Tick
 from edtorch.unroll import Horizon
 from edtorch.value_error import ValueErrorIndicator
 from edtorch.world import World
@@ -279,7 +278,7 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
             step_rule=construct("step", config.step, "initial"),
             exploration=config.noise.exploration,
         )
-    check_memory(Tick(learner, world, budget), config.seeds)
+    check_memory(learner, world, config.seeds)
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
     seeds = [config.seed + k for k in range(config.seeds)]
     card = policy_card(sim, policy, seeds)

@@ -11,9 +11,9 @@ import torch
 
 from edtorch.app.errors import ConfigError
 from edtorch.compilation import CannotCompile, Wish, check_compiler
+from edtorch.learner import Learner
 from edtorch.records import Budget
 from edtorch.streams import BLOCK
-from edtorch.tick import Tick
 from edtorch.world import World
 
 PRECISIONS = ("auto", "float64", "mixed")
@@ -99,10 +99,9 @@ def plan(config: Any, budget: Budget, world: World, learners: int) -> Compute:
     return Compute(dtype, _device(config.device), compiled, required, after)
 
 
-def needed_bytes(tick: Tick, learners: int) -> int:
+def needed_bytes(learner: Learner, world: World, learners: int) -> int:
     """Memory that a population takes, about: its random numbers, its state (now and before), and
     the tape of an uncompiled unroll."""
-    world, learner = tick.world, tick.learner
     numbers = world.uniforms + len(world.spec.action)
     states = sum(p.numel() for p in learner.model.parameters()) + sum(
         p.numel() for p in learner.policy.parameters()
@@ -112,9 +111,9 @@ def needed_bytes(tick: Tick, learners: int) -> int:
     return learners * per_learner * _BYTES
 
 
-def check_memory(tick: Tick, learners: int) -> None:
+def check_memory(learner: Learner, world: World, learners: int) -> None:
     """Refuse a population that the machine has no memory for; ConfigError."""
-    needed, device = needed_bytes(tick, learners), tick.world.device
+    needed, device = needed_bytes(learner, world, learners), world.device
     if device.type == "cuda":
         free, _ = torch.cuda.mem_get_info(device)
     else:
