@@ -4,6 +4,8 @@
 PYTHON ?= python3
 JOBS ?= 2
 ARGS ?=
+# What can be run; the others are what these share.
+BENCH ?= $(patsubst benchmarks/%.py,%,$(shell grep -l __main__ benchmarks/*.py))
 
 VENV := .venv
 PY := $(VENV)/bin/python
@@ -41,11 +43,9 @@ format: $(VENV)/.dev  ## put the sources into the format that check wants
 	$(PY) -m ruff check --fix-only --quiet .
 	$(PY) -m ruff format .
 
-bench: $(VENV)/.dev  ## speed, one file a question
-	@ls benchmarks/*.py >/dev/null 2>&1 || echo "benchmarks/ holds no benchmark yet"
-	@set -e; for file in benchmarks/[!_]*.py; do \
-	    [ -f "$$file" ] || continue; \
-	    echo "== $$file"; PYTHONPATH=. $(PY) "$$file" $(ARGS); \
+bench: $(VENV)/.bench  ## speed and accuracy, one file a question; BENCH="tick unroll" picks some
+	@set -e; for name in $(BENCH); do \
+	    echo "== $$name"; OMP_NUM_THREADS=1 $(PY) -m "benchmarks.$$name" $(ARGS); \
 	done
 
 env: $(VENV)/.core  ## the environment, with edtorch in it
@@ -89,4 +89,10 @@ $(VENV)/.core: pyproject.toml constraints.txt $(VENV)/.place
 $(VENV)/.dev: $(VENV)/.core
 	@rm -f $@
 	$(PIP_INSTALL) -e ".[dev]"
+	@touch $@
+
+# With the peers that the benchmarks compare with.
+$(VENV)/.bench: $(VENV)/.core
+	@rm -f $@
+	$(PIP_INSTALL) -e ".[bench]"
 	@touch $@

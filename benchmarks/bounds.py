@@ -10,13 +10,12 @@ than 8 standard errors, and not rounding).  Makes the first table of docs/theory
 from __future__ import annotations
 
 import argparse
-import json
-import platform
 import statistics
 from pathlib import Path as File
 
 import torch
 
+from benchmarks.timing import write_json
 from edtorch.bounds import GAUSSIAN, bound_errors, definition_weights
 from tests.bounds.coupled import Estimate, coupled, gaussian, one_step
 from tests.bounds.systems import smooth_system
@@ -72,15 +71,12 @@ def main() -> None:
         cells = [f"{statistics.median(found[c]):.3g}" if found[c] else "" for c in COLUMNS]
         lines.append(f"| {n} | {' | '.join(cells)} |")
         print(lines[-1], flush=True)
-    if options.json is not None:
-        content = {
-            "command": "python -m benchmarks.bounds",
-            "systems_and_samples": SIZES,
-            "results": results,
-            "torch": torch.__version__,
-            "python": platform.python_version(),
-        }
-        options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    content = {
+        "command": "python -m benchmarks.bounds",
+        "systems_and_samples": SIZES,
+        "results": results,
+    }
+    write_json(options.json, content)
     if options.docs is not None:
         before, _, after = options.docs.read_text(encoding="utf-8").split(MARK)
         text = f"{before}{MARK}\n" + "\n".join(lines) + f"\n{MARK}{after}"

@@ -1,29 +1,81 @@
-"""What a tick of learning costs, and where: us of CPU per tick of a whole population.
+"""What a whole tick of learning costs: edtorch beside JAX and compiled scalar code.
 
-Eager, float64, one thread.  All rows of a population size are measured in turn within one run, so
-that ratios hold on a busy machine; the figures themselves do not.  Writes JSON beside the table:
+The paper's bicycle (experiment=bicycle_paper), populations of B learners, blocks of 16 ticks; us of
+CPU per learner and tick, one thread, all rows of a size in turn, and in brackets the ratios to
+JAX in float64 and to numba.  The ticks of edtorch draw their random numbers, record and log; those
+of the peers are given the numbers, and do neither.  "By hand" is JAX with the gradient written out
+in the best layout.  Mixed: the simulator in float64, the learner in float32.
 
-    python benchmarks/tick.py [--sizes 1 8 64 256] [--json FILE]
+    python -m benchmarks.tick [--sizes 1 16 256 4096] [--covariance] [--parts] [--json FILE]
+
+--covariance: with the covariance of the unroll; --parts: also where edtorch's eager tick spends its
+time.  Peers that are not installed (extra [bench]) are left out.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import platform
-import statistics
-import time
-from collections.abc import Callable
+import importlib.util
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
-from hydra import compose, initialize_config_module
 
-from edtorch.app import schemas
-from edtorch.app.build import build
+from benchmarks.bicycle import compiled_training, draws, numbers, paper_setup, paper_training
+from benchmarks.timing import Work, interleaved, print_table, write_json
 from edtorch.interact import Training
 from edtorch.learner import AnyLearner, Learner
 from edtorch.unroll import ValuePath
+
+BLOCK = 16
+WARM_UP = 300
+"""Ticks before anything is timed, so that there is something to learn from."""
+
+
+def rows(size: int, covariance: bool) -> dict[str, Work]:
+    """Each way to run a block of ticks; each goes on from where it got to."""
+    training = paper_training(size, covariance=covariance)
+    training.advance(WARM_UP)
+    found: dict[str, Work] = {"edtorch eager, float64": lambda: training.advance(BLOCK)}
+    for precision in ("float64", "mixed"):
+        compiled = compiled_training(size, covariance=covariance, precision=precision)
+        compiled.advance(WARM_UP)
+        found[f"edtorch compiled, {precision}"] = partial(compiled.advance, BLOCK)
+    if importlib.util.find_spec("jax") is not None:
+        for precision, dtype in (("float64", "float64"), ("mixed", "float32")):
+            found[f"JAX, {precision}"] = jax_row(training, "ticks", dtype)
+            found[f"JAX by hand, {precision}"] = jax_row(training, "ticks_by_hand", dtype)
+    if importlib.util.find_spec("numba") is not None:
+        found["numba, float64"] = numba_row(training)
+    return found
+
+
+def jax_row(training: Training, name: str, dtype: str) -> Work:
+    from benchmarks import peers_jax
+
+    ticks = getattr(peers_jax, name)
+    population = peers_jax.population(numbers(training), dtype)
+    uniform, normal = (peers_jax.array(given, dtype) for given in draws(training, BLOCK))
+
+    def work() -> None:
+        nonlocal population
+        population, values = ticks(population, uniform, normal)
+        peers_jax.ready((population, values))
+
+    return work
+
+
+def numba_row(training: Training) -> Work:
+    from benchmarks import peers_numba
+
+    population = {"noise": np.empty((0, 5, 5)), **numbers(training)}
+    uniform, normal = draws(training, BLOCK)
+    ticks: Any = peers_numba.ticks
+    given = [*(population[name] for name in peers_numba.ORDER), uniform, normal]
+    values = np.empty(uniform.shape[:2])
+    return lambda: ticks(*given, values)
 
 
 def _value(learner: AnyLearner) -> ValuePath:
@@ -31,85 +83,77 @@ def _value(learner: AnyLearner) -> ValuePath:
     return learner.value
 
 
-def cpu_us(work: Callable[[], object], calls: int) -> float:
-    """CPU microseconds of one call."""
-    began = time.process_time()
-    for _ in range(calls):
-        work()
-    return (time.process_time() - began) / calls * 1e6
-
-
-def parts(size: int) -> dict[str, Callable[[], object]]:
-    """The pieces of a tick for a population of ``size``, each as a function to time."""
-    with initialize_config_module("conf", version_base="1.3"):
-        configs = {
-            path: compose("train", ["experiment=bicycle", f"seeds={size}", f"unroll.path={path}"])
-            for path in ("closed_form", "generic")
-        }
-    setups = {path: build(config) for path, config in configs.items()}
-    setup = setups["closed_form"]
-    training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
-    training.advance(300)
+def parts(size: int, covariance: bool) -> dict[str, Work]:
+    """The pieces of an eager tick for a population of ``size``."""
+    training = paper_training(size, covariance=covariance)
+    training.advance(WARM_UP)
+    closed, generic = (
+        _value(paper_setup(size, covariance=covariance, path=path).learner)
+        for path in ("closed_form", "generic")
+    )
     world, learners, here = training.world, training.learners, training.worlds
     uniform = torch.rand(size, world.uniforms, dtype=torch.float64)
     action = torch.zeros(size, 2, dtype=torch.float64)
-    model, policy, noise, state = (
-        learners.model,
-        learners.policy,
-        learners.noise,
-        here.observation,
-    )
     # Tensors of the loop are inference tensors, which cannot be differentiated: copies can.
-    copied_model = {name: p.clone() for name, p in model.items()}
-    copied_policy = {name: p.clone() for name, p in policy.items()}
-    copied_state = state.clone()
-    closed_form, generic = (_value(setups[path].learner) for path in ("closed_form", "generic"))
-    return {
+    model, policy, noise = (
+        {name: p.clone() for name, p in parameters.items()}
+        for parameters in (learners.model, learners.policy, learners.noise)
+    )
+    state = here.observation.clone()
+    pieces: dict[str, Work] = {
         "whole tick": lambda: training.advance(1),
         "simulator step": lambda: world.step(here.world, action, uniform),
         "observation, outcome": lambda: (
             world.observe(here.world),
             world.outcome(here.world, training.clock - here.begun),
         ),
-        "value and gradient, closed form": lambda: closed_form(model, policy, noise, state),
-        "value and gradient, generic": lambda: generic(
-            copied_model, copied_policy, noise, copied_state
-        ),
+        "value and gradient, closed form": lambda: closed(model, policy, noise, state),
     }
+    found = {name: torch.inference_mode()(work) for name, work in pieces.items()}
+    found["value and gradient, generic"] = torch.no_grad()(
+        lambda: generic(model, policy, noise, state)
+    )
+    return found
+
+
+def cell(us: dict[str, float], name: str) -> str:
+    peers = ("JAX, float64", "numba, float64")
+    ratios = [f"{us[name] / us[peer]:.2f}" for peer in peers if peer in us]
+    return f"{us[name]:.2f} ({', '.join(ratios)})" if ratios else f"{us[name]:.2f}"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What a tick of learning costs, and where.")
-    parser.add_argument("--sizes", type=int, nargs="+", default=[1, 8, 64, 256])
-    parser.add_argument("--rounds", type=int, default=5)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[1, 16, 256, 4096])
+    parser.add_argument("--covariance", action="store_true")
+    parser.add_argument("--parts", action="store_true")
+    parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    schemas.register()
-    table: dict[str, dict[int, float]] = {}
+    kind = "mean and covariance" if options.covariance else "mean only"
+    columns = [f"B = {size}" for size in options.sizes]
+    content: dict[str, object] = {"covariance": options.covariance, "block": BLOCK}
+
+    whole: dict[int, dict[str, float]] = {}
     for size in options.sizes:
-        pieces = parts(size)
-        samples: dict[str, list[float]] = {name: [] for name in pieces}
-        for _ in range(options.rounds):
-            for name, work in pieces.items():
-                with torch.no_grad() if name.endswith("generic") else torch.inference_mode():
-                    samples[name].append(cpu_us(work, 5 if name.endswith("generic") else 200))
-        for name, values in samples.items():
-            table.setdefault(name, {})[size] = statistics.median(values)
-    print("us of CPU per tick of the population (median), and per learner")
-    print(f"{'':34}" + "".join(f"{f'B = {size}':>20}" for size in options.sizes))
-    for name, row in table.items():
-        cells = "".join(f"{row[s]:11.0f} {row[s] / s:8.2f}" for s in options.sizes)
-        print(f"{name:34}{cells}")
-    if options.json is not None:
-        content = {
-            "us_per_tick": table,
-            "torch": torch.__version__,
-            "python": platform.python_version(),
-            "machine": platform.processor() or platform.machine(),
-            "threads": 1,
-        }
-        options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        seconds = interleaved(rows(size, options.covariance), rounds=options.rounds)
+        whole[size] = {name: 1e6 * s / BLOCK / size for name, s in seconds.items()}
+    print(f"us per learner and tick, {kind} (ratio to JAX float64, to numba)")
+    names = next(iter(whole.values()))
+    print_table("", columns, {name: [cell(us, name) for us in whole.values()] for name in names})
+    content["us_per_learner_tick"] = whole
+
+    if options.parts:
+        pieces: dict[int, dict[str, float]] = {}
+        for size in options.sizes:
+            seconds = interleaved(parts(size, options.covariance), rounds=options.rounds)
+            pieces[size] = {name: 1e6 * s for name, s in seconds.items()}
+        print("\nus per eager tick of the whole population")
+        names = next(iter(pieces.values()))
+        print_table("", columns, {n: [f"{us[n]:.0f}" for us in pieces.values()] for n in names})
+        content["us_of_parts_per_tick"] = pieces
+    write_json(options.json, content)
 
 
 if __name__ == "__main__":

@@ -12,17 +12,16 @@ as a ratio to ``first``.  Writes JSON beside the table:
 from __future__ import annotations
 
 import argparse
-import json
-import platform
 import statistics
-import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import torch
 from torch import Tensor
 from torch.func import grad_and_value
 
+from benchmarks.timing import interleaved, write_json
 from edtorch.transform import (
     Cubature,
     FirstOrder,
@@ -95,23 +94,18 @@ def value_and_gradient(system: SmoothSystem, transform: Transform, *, closed: bo
     return grad_and_value(value, argnums=(0, 1))(system.W, system.b)[1]
 
 
-def cost(system: SmoothSystem, rounds: int, calls: int) -> dict[str, float]:
+def cost(system: SmoothSystem, rounds: int) -> dict[str, float]:
     """CPU ms of value and gradient, transforms in turn; medians over the rounds.
 
     ``first, own J`` is first with the closed loop's own Jacobian instead of jacrev's.
     """
     cases = {name: (t, False) for name, t in transforms(len(system.start)).items()}
     cases["first, own J"] = (FirstOrder(), True)
-    samples: dict[str, list[float]] = {}
-    for _ in range(rounds):
-        for name, (transform, closed) in cases.items():
-            value_and_gradient(system, transform, closed=closed)
-            began = time.process_time()
-            for _ in range(calls):
-                value_and_gradient(system, transform, closed=closed)
-            spent = (time.process_time() - began) / calls * 1e3
-            samples.setdefault(name, []).append(spent)
-    return {name: statistics.median(s) for name, s in samples.items()}
+    works = {
+        name: partial(value_and_gradient, system, transform, closed=closed)
+        for name, (transform, closed) in cases.items()
+    }
+    return {name: 1e3 * seconds for name, seconds in interleaved(works, rounds=rounds).items()}
 
 
 def measure(n: int, options: argparse.Namespace) -> dict:
@@ -130,7 +124,7 @@ def measure(n: int, options: argparse.Namespace) -> dict:
         missing = truth.value - values["first"]
         ratios.append(float((values["second"] - values["first"]) / missing))
         floor.append(float(truth.value_error / missing.abs()))
-    milliseconds = cost(random_system(n, 0, options.nl, options.noise, options.v0), 5, 5)
+    milliseconds = cost(random_system(n, 0, options.nl, options.noise, options.v0), 5)
     rows = {}
     for name, cases in found.items():
         error = {q: statistics.median(c[q] for c in cases) for q in QUANTITIES}
@@ -198,29 +192,24 @@ def main() -> None:
         own = table[n]["ms_of_first_with_its_own_jacobian"]
         ratio = own / table[n]["transforms"]["first"]["ms"]
         print(f"{'first, own J':15}{'':81}{own:7.1f}{ratio:7.2f}", flush=True)
-    if options.json is not None:
-        content = {
-            "command": (
-                f"python -m benchmarks.transforms --sizes {' '.join(map(str, options.sizes))} "
-                f"--systems {options.systems} --samples {options.samples} --nl {options.nl} "
-                f"--v0 {options.v0} --noise {options.noise}"
-            ),
-            "seeds": list(range(options.systems)),
-            "settings": {
-                "samples": options.samples,
-                "nl": options.nl,
-                "v0": options.v0,
-                "noise": options.noise,
-                "horizon": 10,
-                "discount": 0.95,
-            },
-            "results": table,
-            "torch": torch.__version__,
-            "python": platform.python_version(),
-            "machine": platform.processor() or platform.machine(),
-            "threads": 1,
-        }
-        options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    content = {
+        "command": (
+            f"python -m benchmarks.transforms --sizes {' '.join(map(str, options.sizes))} "
+            f"--systems {options.systems} --samples {options.samples} --nl {options.nl} "
+            f"--v0 {options.v0} --noise {options.noise}"
+        ),
+        "seeds": list(range(options.systems)),
+        "settings": {
+            "samples": options.samples,
+            "nl": options.nl,
+            "v0": options.v0,
+            "noise": options.noise,
+            "horizon": 10,
+            "discount": 0.95,
+        },
+        "results": table,
+    }
+    write_json(options.json, content)
 
 
 if __name__ == "__main__":

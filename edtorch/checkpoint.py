@@ -111,6 +111,15 @@ def save_policy(path: Path, policy: Parameters, card: PolicyCard) -> None:
     write_atomically(path, lambda partial: partial.write_bytes(content))
 
 
+def policy_dtype(path: Path) -> torch.dtype:
+    """The number type of a saved policy; FileProblem if the file is none."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            return file.get_tensor(next(iter(file.keys()))).dtype
+    except (OSError, SafetensorError, StopIteration) as error:
+        raise FileProblem(f"{path}: not a saved policy ({error})") from error
+
+
 def load_policy(path: Path, expected: PolicyCard, shapes: dict[str, tuple[int, ...]]) -> Parameters:
     """Load what ``save_policy`` saved; ``expected`` has the seeds, ``shapes`` those of one policy.
 

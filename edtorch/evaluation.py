@@ -63,13 +63,13 @@ def _run(
     watch: Watch | None,
 ) -> list[list[Episode]]:
     keys = [stream_key(s, Purpose.EVALUATION, e) for s in seeds for e in range(episodes)]
-    streams = Streams(keys, world.uniforms, 0, world.dtype)
+    streams = Streams(keys, world.uniforms, 0, world.dtype, world.device)
     finished: list[list[Episode]] = [[] for _ in seeds]
     with torch.inference_mode():
         start = state = world.initial(streams.at(0).uniform)
         observation = world.observe(state)
-        active = torch.ones(len(keys), dtype=torch.bool)
-        clock = torch.zeros((), dtype=torch.int64)
+        active = torch.ones(len(keys), dtype=torch.bool, device=world.device)
+        clock = torch.zeros((), dtype=torch.int64, device=world.device)
         while bool(active.any()):
             clock += 1
             draw = streams.at(int(clock))

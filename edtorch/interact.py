@@ -44,6 +44,10 @@ class Moment:
     outcome: Tensor
 
 
+Note = Callable[[Sequence[Moment]], None]
+"""Takes moments of the same learners, in order."""
+
+
 class Stage(Protocol):
     """A way to run ticks; it holds the population meanwhile."""
 
@@ -52,15 +56,20 @@ class Stage(Protocol):
         """The population now, ``[B, ...]``."""
         ...
 
+    @property
+    def done(self) -> bool:
+        """Whether everybody has used up the budget."""
+        ...
+
     def replace(self, population: Population) -> None:
         """Go on with another one of the same size."""
         ...
 
-    def run(self, clock: int, ticks: int, stride: int, note: Callable[[Moment], None]) -> int:
+    def run(self, clock: int, ticks: int, stride: int, note: Note) -> int:
         """Run ticks ``clock + 1`` to ``clock + ticks``, fewer if everybody is done before.
 
-        Notes the ticks at which an episode ended and every ``stride``-th, those of a learner in
-        order.  Returns how many ticks were run.
+        Notes the ticks at which an episode ended and every ``stride``-th, several of the same
+        learners together, in order.  Returns how many ticks were run.
         """
         ...
 
@@ -74,11 +83,16 @@ class Eager:
         self._everybody = slice(0, len(population.worlds.active))
         self.population = population
 
+    @property
+    def done(self) -> bool:
+        """See ``Stage``."""
+        return not bool(self.population.worlds.active.any())
+
     def replace(self, population: Population) -> None:
         """See ``Stage``."""
         self.population = population
 
-    def run(self, clock: int, ticks: int, stride: int, note: Callable[[Moment], None]) -> int:
+    def run(self, clock: int, ticks: int, stride: int, note: Note) -> int:
         """See ``Stage``."""
         for now in range(clock + 1, clock + ticks + 1):
             draw = self._streams.at(now)
@@ -90,19 +104,18 @@ class Eager:
                 here = self._tick.turn(here, outcome, draw, now)
             self.population = here
             if ended or now % stride == 0:
-                note(
-                    Moment(
-                        clock=now,
-                        rows=self._everybody,
-                        start=before.start,
-                        begun=before.begun,
-                        episodes=before.episodes,
-                        active=before.active,
-                        world=world,
-                        outcome=outcome,
-                    )
+                moment = Moment(
+                    clock=now,
+                    rows=self._everybody,
+                    start=before.start,
+                    begun=before.begun,
+                    episodes=before.episodes,
+                    active=before.active,
+                    world=world,
+                    outcome=outcome,
                 )
-            if ended and not bool(here.worlds.active.any()):
+                note([moment])
+            if ended and self.done:
                 return now - clock
         return ticks
 
@@ -129,7 +142,7 @@ class Training:
         self.budget = budget
         self.clock = 0
         self.episodes: list[Episode] = []
-        self.tick = Tick(learner, world, budget)
+        self.tick = Tick(learner, world, budget.episodes, budget.rides)
         streams = learning_streams(world, self.seeds)
         first = self.tick.first(learner.initial(self.seeds), streams.at(0))
         self.stage: Stage = Eager(self.tick, first, streams)
@@ -173,7 +186,7 @@ class Training:
     @property
     def done(self) -> bool:
         """Whether every learner has used up its budget."""
-        return not bool(self.worlds.active.any())
+        return self.stage.done
 
     @property
     def seconds(self) -> float:
@@ -198,32 +211,43 @@ class Training:
             )
         return self.clock - began
 
-    def _note(self, moment: Moment) -> None:
-        if moment.rows.start == 0 and moment.clock % self.trail.stride == 0:
-            watched = slice(0, self.trail.size)
-            self.trail.append(moment.world[watched], moment.active[watched])
-        if bool(moment.outcome.any()):
-            self._record(moment)
+    def _note(self, moments: Sequence[Moment]) -> None:
+        """Add to trail and episodes what ticks of the same learners did, in their order."""
+        ends: list[tuple[Moment, int, tuple[int, int]]] = []
+        for moment in moments:
+            if moment.rows.start == 0 and moment.clock % self.trail.stride == 0:
+                watched = slice(0, self.trail.size)
+                self.trail.append(moment.world[watched], moment.active[watched])
+            for index in moment.outcome.nonzero().flatten().tolist():
+                ends.append((moment, index, self._cut_trail(moment.rows.start + index)))
+        if ends:
+            self._record(ends)
 
-    def _record(self, moment: Moment) -> None:
-        """The episodes that have just ended."""
-        seconds = (moment.clock - moment.begun).to(torch.float64) * self.world.dt
-        rows = moment.outcome.nonzero().flatten()
-        measures = self.world.sim.measures(moment.start[rows], moment.world[rows], seconds[rows])
-        for place, index in enumerate(rows.tolist()):
-            row = moment.rows.start + index
-            trail = (0, 0)
-            if row < self.trail.size:
-                trail = (self._trail_start[row], self.trail.position(row))
-                self._trail_start[row] = trail[1]
+    def _cut_trail(self, row: int) -> tuple[int, int]:
+        """Where in the trail the episode of a learner was that has just ended."""
+        if row >= self.trail.size:
+            return 0, 0
+        began, self._trail_start[row] = self._trail_start[row], self.trail.position(row)
+        return began, self._trail_start[row]
+
+    def _record(self, ends: list[tuple[Moment, int, tuple[int, int]]]) -> None:
+        """Episodes that have ended: when, whose, and where in the trail."""
+        start = torch.stack([moment.start[index] for moment, index, _ in ends])
+        final = torch.stack([moment.world[index] for moment, index, _ in ends])
+        begun = [int(moment.begun[index]) for moment, index, _ in ends]
+        ticks = [moment.clock - first for (moment, _, _), first in zip(ends, begun, strict=True)]
+        seconds = torch.tensor(ticks, dtype=torch.float64, device=final.device) * self.world.dt
+        found = self.world.sim.measures(start, final, seconds)
+        measures = {name: figure.tolist() for name, figure in found.items()}
+        for place, (moment, index, trail) in enumerate(ends):
             self.episodes.append(
                 Episode(
-                    row=row,
+                    row=moment.rows.start + index,
                     number=int(moment.episodes[index]),
-                    start=int(moment.begun[index]) * self.world.dt,
-                    seconds=float(seconds[index]),
+                    start=begun[place] * self.world.dt,
+                    seconds=float(seconds[place]),
                     outcome=Outcome(int(moment.outcome[index])),
-                    measures={name: float(figure[place]) for name, figure in measures.items()},
+                    measures={name: figures[place] for name, figures in measures.items()},
                     trail=trail,
                 )
             )
@@ -252,4 +276,4 @@ class Training:
 def learning_streams(world: World, seeds: Sequence[int]) -> Streams:
     """What the learners of these seeds draw."""
     keys = [stream_key(seed, Purpose.LEARNING) for seed in seeds]
-    return Streams(keys, world.uniforms, len(world.spec.action), world.dtype)
+    return Streams(keys, world.uniforms, len(world.spec.action), world.dtype, world.device)

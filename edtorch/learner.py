@@ -87,7 +87,9 @@ def _finite(total: Tensor, *more: Tensor) -> Tensor:
     """Whether every number of a learner is finite, ``[B]``; tensors ``[B, ...]``."""
     # A sum is finite only if all of its terms are (or it overflows, which is trouble as well).
     parts = [t.sum(tuple(range(1, t.ndim))) if t.ndim > 1 else t for t in (total, *more)]
-    return torch.isfinite(sum(parts[1:], parts[0]))
+    total = sum(parts[1:], parts[0])
+    # inf - inf and nan - nan are nan: half the operations of isfinite.
+    return (total - total) == 0
 
 
 def _where(mask: Tensor, yes: Parameters, no: Parameters) -> Parameters:
@@ -119,6 +121,7 @@ class Learner:
         """Learners that know nothing yet, one per seed."""
         size = len(seeds)
         model = population(self.model, size)
+        device = model["weight"].device
         policy = population(self.policy, size)
         return LearnerState(
             model=model,
@@ -126,9 +129,9 @@ class Learner:
             fit=self.fit.initial(model["weight"]),
             noise={} if self.noise is None else self.noise.initial(model["weight"]),
             step=self.step_rule.initial(policy),
-            seed=torch.tensor(list(seeds), dtype=torch.int64),
-            tick=torch.zeros(size, dtype=torch.int64),
-            sound_ticks=torch.zeros(size, dtype=torch.int64),
+            seed=torch.tensor(list(seeds), dtype=torch.int64, device=device),
+            tick=torch.zeros(size, dtype=torch.int64, device=device),
+            sound_ticks=torch.zeros(size, dtype=torch.int64, device=device),
         )
 
     @property

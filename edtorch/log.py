@@ -169,8 +169,8 @@ class ConsoleSink:
     def __init__(self, console: Console, quiet: float = 10.0) -> None:
         self._console = console
         self._quiet = quiet
-        self._began = self._last_printed = time.monotonic()
-        self._last_seconds, self._last_time = 0.0, self._began
+        self._last_printed = -math.inf  # the first line at once
+        self._last_seconds, self._last_time = 0.0, time.monotonic()
         self._live: Live | None = None
         if console.is_terminal:
             self._live = Live(console=console, auto_refresh=False, transient=True)

@@ -1,10 +1,7 @@
-"""A tick as a compiled program: exported once, compiled by Inductor ahead of time, kept on disk.
+"""Functions of a population as compiled programs, made by Inductor ahead of time, kept on disk.
 
-The program is that of the pure functions of ``edtorch.tick``, for a tile of a fixed number of
-learners.  Shapes are what they are everywhere, ``[B, ...]``; only the storage is turned about, so
-that the learners lie side by side and every operation is a run of vector instructions over them.
-What the library would do with matrices (``bmm``, ``cat`` along rows) is rewritten for that
-(``DECOMPOSITIONS``); nothing else differs from the tick that runs operation by operation.
+A program is made of the same pure functions that run uncompiled (``edtorch.tick``), for a batch of
+a fixed size that is the innermost axis of everything it stores (``edtorch.innermost``).
 """
 
 from __future__ import annotations
@@ -14,12 +11,11 @@ import io
 import os
 import pickle
 import platform
-import shutil
 import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -29,122 +25,14 @@ from torch import Tensor
 from torch._inductor import aoti_compile_and_package, aoti_load_package
 from torch.utils import _pytree as pytree
 
+from edtorch.compilation import CannotCompile, check_compiler
+from edtorch.innermost import Turned, first, stored
 from edtorch.learner import Learner
 from edtorch.streams import Draw
 from edtorch.tick import Population, Tick
 
-SUPPORTED = ((2, 13), (2, 14))
-"""torch from this version on and before that one: of others it is not known whether they can."""
-
 OPTIONS = {"memory_planning": True, "cpp.threads": 1}
 """Of the compiler: one allocation for all intermediate results of a tick; one thread."""
-
-aten = torch.ops.aten
-
-
-class CannotCompile(RuntimeError):
-    """A program cannot be had; the message says why and what would help."""
-
-
-def last(tensor: Tensor) -> Tensor:
-    """``[B, ...]`` stored with the batch innermost: contiguous ``[..., B]``."""
-    return tensor.movedim(0, -1).contiguous()
-
-
-def first(tensor: Tensor) -> Tensor:
-    """``[..., B]`` seen as ``[B, ...]``."""
-    return tensor.movedim(-1, 0)
-
-
-def _stored(tensor: Tensor) -> Tensor:
-    """``last``, as a tensor of its own in any case."""
-    return tensor.movedim(0, -1).clone(memory_format=torch.contiguous_format)
-
-
-def _sum_of_products(a: Tensor, b: Tensor) -> Tensor:
-    """``bmm`` of matrices too small for a library."""
-    a, b = a.movedim(0, -1), b.movedim(0, -1)
-    return first((a.unsqueeze(2) * b.unsqueeze(0)).sum(1))
-
-
-def _sum_of_products_and(
-    c: Tensor, a: Tensor, b: Tensor, *, beta: float = 1, alpha: float = 1
-) -> Tensor:
-    return beta * c + alpha * _sum_of_products(a, b)
-
-
-def _reduced(reduce: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """A reduction over other axes than the batch."""
-
-    def over(tensor: Tensor, dim: list[int], keepdim: bool = False, **more: Any) -> Tensor:
-        axes = [d % tensor.ndim - 1 for d in dim]
-        if min(axes) < 0:
-            return reduce(tensor, dim, keepdim, **more)
-        return first(reduce(tensor.movedim(0, -1), axes, keepdim, **more))
-
-    return over
-
-
-def _joined(tensors: list[Tensor], dim: int = 0) -> Tensor:
-    """``cat`` along another axis than the batch."""
-    axis = dim % tensors[0].ndim - 1
-    if axis < 0:
-        return torch.cat(tensors)
-    rows = torch.cat([t.movedim(0, -1).movedim(axis, 0) for t in tensors])
-    return first(rows.movedim(0, axis))
-
-
-def _stacked(tensors: list[Tensor], dim: int = 0) -> Tensor:
-    """``stack`` along another axis than the batch."""
-    if dim % (tensors[0].ndim + 1) == 0:
-        return torch.stack(tensors)
-    return _joined([t.unsqueeze(dim) for t in tensors], dim)
-
-
-RULES: dict[Any, Callable[..., Tensor]] = {
-    aten.bmm.default: _sum_of_products,
-    aten.baddbmm.default: _sum_of_products_and,
-    aten.sum.dim_IntList: _reduced(torch.sum),
-    aten.mean.dim: _reduced(torch.mean),
-    aten.cat.default: _joined,
-    aten.stack.default: _stacked,
-    aten.view.default: torch.reshape,
-}
-"""Operations that are done otherwise when the batch is the innermost axis."""
-
-CONVERSIONS = {aten._to_copy.default, aten.to.dtype}
-"""Elementwise operations that torch does not tag as such."""
-
-
-class _Innermost(torch.fx.Interpreter):
-    """Runs a graph of ``[B, ...]`` so that whatever it stores has the batch innermost.
-
-    The compiler lays a result out as its logical shape says: operations on ``[B, ...]`` are done on
-    ``[..., B]``, and looked at the other way round afterwards, which costs nothing.
-    """
-
-    def __init__(self, module: torch.fx.GraphModule, size: int) -> None:
-        super().__init__(module)
-        self._size = size
-
-    def call_function(self, target: Any, args: Any, kwargs: Any) -> Any:
-        """One operation."""
-        tensors = [x for x in pytree.tree_leaves(args) if isinstance(x, Tensor)]
-        rank = max((x.ndim for x in tensors), default=0)
-        is_batched = any(x.ndim == rank and x.shape[0] == self._size for x in tensors if x.ndim)
-        if not is_batched:
-            return super().call_function(target, args, kwargs)
-        if target in RULES:
-            return RULES[target](*args, **kwargs)
-        if rank > 1 and (torch.Tag.pointwise in target.tags or target in CONVERSIONS):
-
-            def turned(x: Any) -> Any:
-                if not isinstance(x, Tensor) or x.ndim == 0:
-                    return x
-                return x[(None,) * (rank - x.ndim)].movedim(0, -1)
-
-            return first(target(*pytree.tree_map(turned, args), **kwargs))
-        return super().call_function(target, args, kwargs)
 
 
 class _Graph(torch.nn.Module):
@@ -160,51 +48,20 @@ class _Graph(torch.nn.Module):
         here, outcome = self.tick.live(here, draw, clock)
         world = here.worlds.world
         here = self.tick.turn(here, outcome, draw, clock)
-        return [_stored(leaf) for leaf in pytree.tree_leaves(here)], outcome, _stored(world)
-
-
-class _Turned(torch.nn.Module):
-    """An exported graph, run by ``_Innermost``."""
-
-    def __init__(self, module: torch.fx.GraphModule, size: int) -> None:
-        super().__init__()
-        self.module, self.size = module, size
-
-    def forward(self, *arguments: Any) -> Any:
-        flat = pytree.tree_leaves(arguments)
-        return _Innermost(self.module, self.size).run(*flat)
+        return [stored(leaf) for leaf in pytree.tree_leaves(here)], outcome, stored(world)
 
 
 @dataclass(frozen=True)
 class Program:
-    """A compiled tick for tiles of ``size`` learners.
+    """A compiled function of a batch of ``size``.
 
-    ``run`` takes the leaves of a ``Population`` (``last``), uniform ``[u, B]``, normal ``[m, B]``
-    and the number of the tick (int64 ``[]``) as one list, and returns the new leaves, the outcomes
-    ``[B]`` and the worlds ``[k, B]`` before new episodes began.  seconds: what compiling took, None
-    for a program that was on disk.
+    run: takes one flat list of tensors, stored batch last, and returns one; seconds: what compiling
+    took, None for a program that was on disk.
     """
 
     run: Callable[[list[Tensor]], list[Tensor]]
     size: int
-    spec: pytree.TreeSpec
     seconds: float | None
-
-
-def check_compiler() -> None:
-    """Raises CannotCompile where programs can neither be made nor trusted."""
-    version = tuple(int(part) for part in torch.__version__.split(".")[:2])
-    if not SUPPORTED[0] <= version < SUPPORTED[1]:
-        first_bad = ".".join(map(str, SUPPORTED[1]))
-        raise CannotCompile(
-            f"torch {torch.__version__} is outside of the range in which compiling has been tested,"
-            f" {'.'.join(map(str, SUPPORTED[0]))} up to but not {first_bad}: install one of these"
-        )
-    named = os.environ.get("CXX")
-    if not any(shutil.which(name) for name in ([named] if named else ["g++", "clang++"])):
-        raise CannotCompile(
-            f"no C++ compiler found ({named or 'g++ or clang++'}): install one, or name it in CXX"
-        )
 
 
 def cache_folder() -> Path:
@@ -224,17 +81,12 @@ def _processor() -> str:
     return "\n".join(flags)
 
 
-def _source_files(tick: Tick) -> list[Path]:
-    """The code that a tick is made of: edtorch, sims, and wherever else its parts come from."""
-    learner = tick.learner
-    if not isinstance(learner, Learner):
-        raise CannotCompile(f"{type(learner).__name__} asks tensors for numbers")
-    parts = (tick.world.sim, learner.model.features, learner.policy, learner.fit)
+def _source_files(parts: Sequence[object]) -> list[Path]:
+    """The code of a function: edtorch, sims, and wherever else its ``parts`` come from."""
     packages = {type(part).__module__.partition(".")[0] for part in parts}
     files: set[Path] = set()
     for name in packages | {"edtorch", "sims"}:
-        module = sys.modules.get(name)
-        path = getattr(module, "__file__", None)
+        path = getattr(sys.modules.get(name), "__file__", None)
         if path is None:
             raise CannotCompile(f"the source of the package {name} cannot be found")
         file = Path(path)
@@ -255,26 +107,29 @@ class _Description(pickle.Pickler):
         return str, (f"{obj.dtype} {tuple(obj.shape)} {numbers.hex()}",)
 
 
-def _key(tick: Tick, leaves: list[Tensor]) -> str:
-    """A name for the program, of everything that it depends on."""
+def program_name(function: object, parts: Sequence[object], tensors: Sequence[Tensor]) -> str:
+    """A name for the program of ``function``, made of everything that it depends on."""
     content = hashlib.sha256()
-    for file in _source_files(tick):
+    for file in _source_files(parts):
         content.update(file.read_bytes())
     description = io.BytesIO()
-    _Description(description).dump(tick)
+    try:
+        _Description(description).dump(function)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise CannotCompile(f"its parts cannot be pickled ({error})") from error
     content.update(description.getvalue())
-    layout = [(tuple(leaf.shape), str(leaf.dtype), str(leaf.device)) for leaf in leaves]
+    layout = [(tuple(x.shape), str(x.dtype), str(x.device)) for x in tensors]
     versions = (torch.__version__, platform.python_version(), repr(OPTIONS))
     content.update(repr((layout, versions, _processor())).encode())
     return content.hexdigest()[:32]
 
 
-def _make(graph: _Graph, arguments: tuple[Any, ...], size: int, path: Path) -> None:
+def _make(graph: torch.nn.Module, arguments: tuple[Any, ...], size: int, path: Path) -> None:
     """Export, turn, compile, and move the result into place."""
     with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         exported = torch.export.export(graph, arguments, strict=False).run_decompositions({})
-        turned = _Turned(exported.module(), size)
+        turned = Turned(exported.module(), size)
         exported = torch.export.export(turned, arguments, strict=False).run_decompositions({})
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
@@ -284,31 +139,58 @@ def _make(graph: _Graph, arguments: tuple[Any, ...], size: int, path: Path) -> N
             os.replace(made, path)
 
 
-def compile_tick(tick: Tick, tile: Population, draw: Draw) -> Program:
-    """The program of ``tick`` for populations of the size of ``tile``.
+def compile_graph(
+    graph: torch.nn.Module,
+    function: object,
+    parts: Sequence[object],
+    arguments: tuple[Any, ...],
+    size: int,
+) -> Program:
+    """The program of ``graph``, from disk if it has been made before.
 
-    draw: of any tick, for its shapes.  Raises CannotCompile.
+    graph: a module that takes ``arguments``, tensors (and lists of them) stored batch last, and
+    returns the like; function: what it computes, parts: the objects whose code it runs, both to
+    know it again.  Raises CannotCompile.
     """
     check_compiler()
-    leaves, spec = pytree.tree_flatten(tile)
-    size = leaves[0].shape[0]
-    stored = [_stored(leaf) for leaf in leaves]
-    clock = torch.ones((), dtype=torch.int64, device=stored[0].device)
-    arguments = (stored, _stored(draw.uniform), _stored(draw.normal), clock)
-    try:
-        path = cache_folder() / f"tick-{_key(tick, stored)}.pt2"
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise CannotCompile(f"the parts of this learner cannot be pickled: {error}") from error
+    tensors = pytree.tree_leaves(arguments)
+    path = cache_folder() / f"{program_name(function, parts, tensors)}.pt2"
     seconds = None
     if not path.exists():
         began = time.monotonic()
         try:
-            _make(_Graph(tick, spec), arguments, size, path)
+            _make(graph, arguments, size, path)
         except OSError:
             raise
         except Exception as error:
-            first_line = str(error).strip().partition("\n")[0]
-            raise CannotCompile(f"{type(error).__name__}: {first_line}") from error
+            # Whatever the exporter or the compiler cannot do: many kinds of exceptions.
+            line = str(error).strip().partition("\n")[0]
+            raise CannotCompile(f"{type(error).__name__}: {line}") from error
         seconds = time.monotonic() - began
-    model = aoti_load_package(str(path), run_single_threaded=True)
-    return Program(model.loader.boxed_run, size, spec, seconds)
+    try:
+        model = aoti_load_package(str(path), run_single_threaded=True)
+    except RuntimeError as error:
+        raise CannotCompile(f"{path}: not a program that runs here; remove it") from error
+    return Program(model.loader.boxed_run, size, seconds)
+
+
+def compile_tick(tick: Tick, tile: Population, draw: Draw) -> Program:
+    """The program of ``tick`` for populations of the size of ``tile``.
+
+    It takes the leaves of a ``Population``, uniform ``[u, B]``, normal ``[m, B]`` and the number of
+    the tick (int64 ``[]``), and returns the new leaves, the outcomes ``[B]`` and the worlds
+    ``[k, B]`` before new episodes began.  draw: of any tick, for its shapes.  Raises CannotCompile.
+    """
+    learner = tick.learner
+    if not isinstance(learner, Learner):
+        raise CannotCompile(f"{type(learner).__name__} asks tensors for numbers")
+    leaves, spec = pytree.tree_flatten(tile)
+    clock = torch.ones((), dtype=torch.int64, device=leaves[0].device)
+    arguments = (
+        [stored(leaf) for leaf in leaves],
+        stored(draw.uniform),
+        stored(draw.normal),
+        clock,
+    )
+    parts = (tick.world.sim, learner.model.features, learner.policy, learner.fit, learner.step_rule)
+    return compile_graph(_Graph(tick, spec), tick, parts, arguments, leaves[0].shape[0])

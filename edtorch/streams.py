@@ -53,11 +53,13 @@ class Streams:
         uniforms: int,
         normals: int,
         dtype: torch.dtype = torch.float64,
+        device: torch.device | None = None,
     ) -> None:
         self._keys = [np.array(key, dtype=np.uint64) for key in keys]
         self._uniforms = uniforms
         self._normals = normals
         self._dtype = dtype
+        self._device = device
         self._block = -1
         self._uniform = torch.empty(0)
         self._normal = torch.empty(0)
@@ -75,13 +77,16 @@ class Streams:
         return self._uniform[row], self._normal[row]
 
     def _fill(self, block: int) -> None:
-        # Stored component by component: the population is the innermost axis.
-        uniform = np.empty((BLOCK, self._uniforms, len(self._keys)))
-        normal = np.empty((BLOCK, self._normals, len(self._keys)))
+        uniform = np.empty((len(self._keys), BLOCK, self._uniforms))
+        normal = np.empty((len(self._keys), BLOCK, self._normals))
         for row, key in enumerate(self._keys):
             generator = np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, block]))
-            uniform[..., row] = generator.random((BLOCK, self._uniforms))
-            normal[..., row] = generator.standard_normal((BLOCK, self._normals))
-        self._uniform = torch.from_numpy(uniform).to(self._dtype)
-        self._normal = torch.from_numpy(normal).to(self._dtype)
+            generator.random(out=uniform[row])
+            generator.standard_normal(out=normal[row])
+        self._uniform, self._normal = self._laid_out(uniform), self._laid_out(normal)
         self._block = block
+
+    def _laid_out(self, numbers: np.ndarray) -> Tensor:
+        """``[B, BLOCK, k]`` as it is stored: ``[BLOCK, k, B]``, the population innermost."""
+        turned = torch.from_numpy(numbers).to(self._dtype).permute(1, 2, 0).contiguous()
+        return turned.to(self._device)

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from edtorch.learner import AnyLearner, Check
-from edtorch.records import Budget
 from edtorch.streams import Draw
 from edtorch.types import LearnerState, Metrics, Transition, replace, select, tree_dataclass
 from edtorch.world import World
@@ -94,11 +93,15 @@ class Population:
 
 @dataclass(frozen=True)
 class Tick:
-    """What all ticks of a training have in common."""
+    """What all ticks of a training have in common.
+
+    most_episodes, most_rides: after which a learner is done, None for no limit.
+    """
 
     learner: AnyLearner
     world: World
-    budget: Budget
+    most_episodes: int | None = None
+    most_rides: int | None = None
 
     def first(self, learners: LearnerState, draw: Draw) -> Population:
         """Everybody at the start of a first episode; draw: of tick 0."""
@@ -153,10 +156,10 @@ class Tick:
         episodes, falls = worlds.episodes + ended, worlds.falls + fell
         rides = worlds.rides + (ended & ~fell)
         active = worlds.active
-        if self.budget.episodes is not None:
-            active = active & (episodes < self.budget.episodes)
-        if self.budget.rides is not None:
-            active = active & (rides < self.budget.rides)
+        if self.most_episodes is not None:
+            active = active & (episodes < self.most_episodes)
+        if self.most_rides is not None:
+            active = active & (rides < self.most_rides)
         fresh = ended & active
         state = self.world.restart(worlds.world, fresh, draw.uniform)
         experience = Experience(

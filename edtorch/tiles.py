@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from edtorch.interact import Moment, learning_streams
-from edtorch.program import Program, compile_tick, first, last
+from edtorch.innermost import first, last
+from edtorch.interact import Moment, Note, learning_streams
+from edtorch.program import Program, compile_tick
 from edtorch.streams import Streams
 from edtorch.tick import Population, Tick
 from edtorch.types import replace
@@ -24,9 +25,13 @@ PIECE = 16
 """Ticks of one tile before it is the next one's turn, and before anybody looks at what ended."""
 
 
-def tile_size(learners: int) -> int:
-    """The size of the tiles of a population; the last one may be padded."""
-    return min(LARGEST_TILE, -(-learners // VECTOR) * VECTOR)
+def tile_size(learners: int, device: torch.device) -> int:
+    """The size of the tiles of a population; the last one may be padded.
+
+    A GPU wants everybody at once: its tile is the population.
+    """
+    whole = -(-learners // VECTOR) * VECTOR
+    return min(LARGEST_TILE, whole) if device.type == "cpu" else whole
 
 
 def _padded(population: Population, rows: slice, size: int) -> Population:
@@ -56,7 +61,7 @@ class Tiles:
 
     def __init__(self, tick: Tick, population: Population, seeds: Sequence[int]) -> None:
         """Compile, or fetch what has been compiled before.  Raises CannotCompile."""
-        self._size = tile_size(len(seeds))
+        self._size = tile_size(len(seeds), tick.world.device)
         self._tiles: list[_Tile] = []
         for start in range(0, len(seeds), self._size):
             rows = slice(start, min(start + self._size, len(seeds)))
@@ -65,8 +70,9 @@ class Tiles:
             self._tiles.append(_Tile(rows, streams, [], done=False))
         sample = _padded(population, self._tiles[0].rows, self._size)
         self.program: Program = compile_tick(tick, sample, self._tiles[0].streams.at(0))
-        leaves = list(range(self.program.spec.num_leaves))
-        self._place: Population = pytree.tree_unflatten(leaves, self.program.spec)
+        self._spec = pytree.tree_flatten(sample)[1]
+        places = list(range(self._spec.num_leaves))
+        self._place: Population = pytree.tree_unflatten(places, self._spec)
         self.replace(population)
 
     @property
@@ -76,9 +82,14 @@ class Tiles:
         if population is None:
             parts = [[first(leaf)[: _length(t)] for leaf in t.leaves] for t in self._tiles]
             leaves = [torch.cat(rows) for rows in zip(*parts, strict=True)]
-            population = pytree.tree_unflatten(leaves, self.program.spec)
+            population = pytree.tree_unflatten(leaves, self._spec)
             self._population = population
         return population
+
+    @property
+    def done(self) -> bool:
+        """See ``Stage``."""
+        return all(tile.done for tile in self._tiles)
 
     def replace(self, population: Population) -> None:
         """See ``Stage``."""
@@ -88,17 +99,16 @@ class Tiles:
             tile.leaves = [last(leaf).clone() for leaf in pytree.tree_leaves(part)]
             tile.done = not bool(part.worlds.active.any())
 
-    def run(self, clock: int, ticks: int, stride: int, note: Callable[[Moment], None]) -> int:
+    def run(self, clock: int, ticks: int, stride: int, note: Note) -> int:
         """See ``Stage``; it stops at the end of a piece."""
         for began in range(clock, clock + ticks, PIECE):
             piece = min(PIECE, clock + ticks - began)
             for tile in self._tiles:
                 if not tile.done:
-                    for moment in self._live(tile, began, piece, stride):
-                        note(moment)
+                    note(self._live(tile, began, piece, stride))
                     tile.done = not bool(tile.leaves[_at(self._place.worlds.active)].any())
             self._population = None
-            if all(tile.done for tile in self._tiles):
+            if self.done:
                 return began + piece - clock
         return ticks
 
@@ -108,7 +118,7 @@ class Tiles:
         worlds = self._place.worlds
         start, begun = _at(worlds.start), _at(worlds.begun)
         episodes, active = _at(worlds.episodes), _at(worlds.active)
-        clocks = torch.arange(clock + 1, clock + ticks + 1)
+        clocks = torch.arange(clock + 1, clock + ticks + 1, device=tile.leaves[0].device)
         leaves, moments = tile.leaves, []
         for offset in range(ticks):
             uniform, normal = tile.streams.stored(clock + offset + 1)

@@ -13,9 +13,9 @@ class Trail:
         self.stride = stride
         self.capacity = capacity
         self.size = world.shape[0]
-        self._rows = torch.arange(self.size)
-        self._ring = torch.zeros(capacity, *world.shape, dtype=world.dtype)
-        self._count = torch.zeros(world.shape[0], dtype=torch.int64)
+        self._rows = torch.arange(self.size, device=world.device)
+        self._ring = torch.zeros(capacity, *world.shape, dtype=world.dtype, device=world.device)
+        self._count = torch.zeros(world.shape[0], dtype=torch.int64, device=world.device)
 
     def append(self, world: Tensor, active: Tensor) -> None:
         """Add the states of the active learners."""
@@ -32,4 +32,4 @@ class Trail:
         """States first..last-1 of a learner, ``[T, k]``; as many of the last as are still there."""
         first = max(first, self.position(row) - self.capacity)
         index = torch.arange(first, max(first, last)) % self.capacity
-        return self._ring[index, row]
+        return self._ring[index.to(self._ring.device), row].cpu()

@@ -9,25 +9,36 @@ from sims.base import Actuated, Fallible, Outcome, Sim
 
 
 class World:
-    """Wraps ``sim``; all states and actions seen here are scaled, in ``dtype`` on the CPU.
+    """Wraps ``sim``; all states and actions seen here are scaled, in ``dtype`` on ``device``.
 
     The sim itself computes in float64: positions of a kilometre and angles of a microradian meet in
     it, whatever precision the learner works in.
     """
 
-    def __init__(self, sim: Sim, dtype: torch.dtype = torch.float64) -> None:
+    def __init__(
+        self,
+        sim: Sim,
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | None = None,
+    ) -> None:
         self.sim = sim
         self.spec = sim.spec
         self.dtype = dtype
+        self.device = device or torch.device("cpu")
         self.dt = sim.spec.dt
-        self.seconds = torch.tensor(sim.spec.dt, dtype=dtype)
+        self.seconds = self._tensor(sim.spec.dt)
         self.limit_ticks = round(sim.spec.time_limit / sim.spec.dt)
         state, action = sim.spec.state, sim.spec.action
-        self._state_scale = torch.tensor([q.scale for q in state], dtype=torch.float64)
-        self._action_scale = torch.tensor([q.scale for q in action], dtype=dtype)
-        self._low = torch.tensor([q.low / q.scale for q in action], dtype=dtype)
-        self._high = torch.tensor([q.high / q.scale for q in action], dtype=dtype)
-        self.period = torch.tensor([q.period / q.scale for q in state], dtype=dtype)
+        self._state_scale = torch.tensor(
+            [q.scale for q in state], dtype=torch.float64, device=self.device
+        )
+        self._action_scale = self._tensor([q.scale for q in action])
+        self._low = self._tensor([q.low / q.scale for q in action])
+        self._high = self._tensor([q.high / q.scale for q in action])
+        self.period = self._tensor([q.period / q.scale for q in state])
+
+    def _tensor(self, numbers: float | list[float]) -> Tensor:
+        return torch.tensor(numbers, dtype=self.dtype, device=self.device)
 
     @property
     def uniforms(self) -> int:

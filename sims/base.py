@@ -101,6 +101,9 @@ class Sim(Protocol):
     ``observe(state)``, ``[*batch, n]``.  A sim that wraps a world with a memory of its own (a
     physics engine) may treat the tensor as a view of it; it then accepts only the state that it
     returned last.
+
+    A sim whose functions are of tensors alone (no conversions to numbers, no branches on them, no
+    libraries) may say so by an attribute ``traceable = True``: its ticks can then be compiled.
     """
 
     @property

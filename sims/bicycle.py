@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -141,6 +142,7 @@ class Bicycle:
     action_scale: Mapping[str, float] = field(default_factory=dict, hash=False)
     physics: Physics = RANDLOV
     integrate: Integrator = semi_implicit
+    traceable: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""
@@ -225,7 +227,8 @@ class Bicycle:
         rows = (omega, omega_dot, theta, theta_dot, _angle_to_goal(components))
         if self.lean_acceleration:
             rows = (*rows, omega_ddot)
-        return torch.stack(rows, -1)
+        # The batch last in memory, as in the state: compiled, a whole tick is then one pass.
+        return torch.stack(rows).movedim(0, -1)
 
     def outcome(self, state: Tensor) -> Tensor:
         """FAILED, SUCCEEDED or RUNNING as int64 ``[*batch]``; a fall is looked for first."""

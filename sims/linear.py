@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -26,6 +27,8 @@ class LinearSystem:
     Arguments: ``state_matrix`` F ``[n][n]``, ``action_matrix`` G ``[n][m]``; ``noise``: standard
     deviation; ``start`` above 0; ``dt`` and ``time_limit`` in s.  ValueError names what is wrong.
     """
+
+    traceable: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -80,7 +83,8 @@ class LinearSystem:
         # Box and Muller (1958); 1 - u keeps the logarithm finite.
         radius, angle = uniforms.chunk(2, dim=-1)
         normal = (-2 * torch.log1p(-radius)).sqrt() * (2 * math.pi * angle).cos()
-        moved = (state.unsqueeze(-2) * self._F).sum(-1) + (action.unsqueeze(-2) * self._G).sum(-1)
+        F, G = self._F.to(state.device), self._G.to(state.device)
+        moved = (state.unsqueeze(-2) * F).sum(-1) + (action.unsqueeze(-2) * G).sum(-1)
         return moved + self._noise * normal
 
     def observe(self, state: Tensor) -> Tensor:

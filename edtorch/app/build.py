@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast, get_args
 
 import torch
@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.compute import Compute, check_memory, plan, plan_inverse, uncompiled
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under, unknown_key
 from edtorch.app.inverse import build_controller, build_inverse_learner, has_inverse
@@ -40,7 +41,6 @@ FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
 }
 FeaturedActor = LinearPolicy | InverseController
 Shapes = dict[str, tuple[int, ...]]
-PRECISIONS = {"float64": torch.float64, "float32": torch.float32}
 
 
 def build_features(key: str, config: Any, inputs: int, spec: Spec, seed: int) -> FeatureMap:
@@ -101,7 +101,9 @@ def _weights(key: str, config: Mapping[str, float], quantities: tuple[Quantity, 
             raise ConfigError(f"{key}.{name}={weight}: expected one of {', '.join(names)}")
         at_least(f"{key}.{name}", weight, 0)
     return torch.diag(
-        torch.tensor([config.get(q.name, 0.0) * q.scale**2 for q in quantities]).to(torch.float64)
+        torch.tensor(
+            [config.get(q.name, 0.0) * q.scale**2 for q in quantities], dtype=torch.float64
+        )
     )
 
 
@@ -112,7 +114,9 @@ def _distance(weight: float, spec: Spec) -> Tensor:
     return weight * distance_cost(spec)
 
 
-def build_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticReward:
+def build_reward(
+    config: Any, sim: Sim, dtype: torch.dtype, device: torch.device | None = None
+) -> QuadraticReward:
     """The shaping reward, in scaled units."""
     at_least("reward.goal", config.goal, 0)
     if not (config.goal > 0 or any(weight > 0 for weight in config.state.values())):
@@ -123,7 +127,7 @@ def build_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticReward:
     state = _weights("reward.state", config.state, sim.spec.state)
     state = state + _distance(config.goal, sim.spec)
     action = _weights("reward.action", config.action, sim.spec.action)
-    return QuadraticReward(state.to(dtype), action.to(dtype))
+    return QuadraticReward(state.to(device, dtype), action.to(device, dtype))
 
 
 def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> LinearPolicy:
@@ -193,15 +197,6 @@ def policy_card(sim: Sim, policy: FeaturedActor, seeds: list[int]) -> PolicyCard
     )
 
 
-def build_precision(config: Any) -> torch.dtype:
-    """The learner's number type."""
-    if config.precision not in PRECISIONS:
-        raise ConfigError(
-            f"compute.precision={config.precision}: expected one of {', '.join(PRECISIONS)}"
-        )
-    return PRECISIONS[config.precision]
-
-
 def _build_budget(config: Any) -> Budget:
     if config.seconds is not None and not (math.isfinite(config.seconds) and config.seconds > 0):
         raise ConfigError(f"train.seconds={config.seconds}: expected a finite number > 0, or null")
@@ -215,14 +210,21 @@ def _build_budget(config: Any) -> Budget:
     return Budget(config.seconds, config.episodes, config.rides)
 
 
-def _build_forward(
-    config: DictConfig, world: World, dtype: torch.dtype
-) -> tuple[Learner, str, ValueErrorIndicator | None]:
-    """A learner with a forward model, the way to its value, and the indicator of its error."""
-    sim = world.sim
-    model = _build_model(config.model, world, dtype, config.seed)
-    policy = build_policy(config.policy, sim, dtype, config.seed)
-    reward = build_reward(config.reward, sim, dtype)
+@dataclass(frozen=True)
+class _Forward:
+    """A learner with a forward model; path, indicator, compiled: as in ``Setup``."""
+
+    learner: Learner
+    path: str
+    indicator: ValueErrorIndicator | None
+    compiled: Learner | None
+
+
+def _build_forward(config: DictConfig, world: World, compute: Compute) -> _Forward:
+    sim, dtype, device = world.sim, compute.dtype, compute.device
+    model = _build_model(config.model, world, dtype, config.seed).to(device)
+    policy = build_policy(config.policy, sim, dtype, config.seed).to(device)
+    reward = build_reward(config.reward, sim, dtype, device)
     transform = construct(
         "transform",
         config.transform,
@@ -256,7 +258,9 @@ def _build_forward(
             f"unroll.start_deviation={config.unroll.start_deviation}: expected 0 with this "
             "transform, which leaves the covariance out; transform=first takes it in"
         )
-    start_cov = config.unroll.start_deviation**2 * torch.eye(model.states, dtype=dtype)
+    start_cov = config.unroll.start_deviation**2 * torch.eye(
+        model.states, dtype=dtype, device=device
+    )
     try:
         choice = choose_path(
             config.unroll.path,
@@ -270,10 +274,10 @@ def _build_forward(
         )
     except ValueError as error:
         raise ConfigError(f"unroll.path={config.unroll.path}: {error}") from error
-    path, reason = choice.path, choice.reason
+    path, reason, compilable = choice.path, choice.reason, choice.compiled
     tracked = tracking(model, policy, reward, transform, horizon)
     if tracked is not None and config.unroll.path == "auto":
-        path, reason = tracked, "goal-tracking loop, its adjoint written out"
+        path, reason, compilable = tracked, "goal-tracking loop, its adjoint written out", None
     with under("noise"):
         learner = Learner(
             model=model,
@@ -284,13 +288,21 @@ def _build_forward(
             step_rule=construct("step", config.step, "initial"),
             exploration=config.noise.exploration,
         )
+    check_memory(learner, world, config.seeds)
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
-    return learner, reason, indicator
+    compiled = None
+    if compute.compiled and compilable is not None:
+        compiled = replace(learner, value=compilable)
+    return _Forward(learner, reason, indicator, compiled)
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything that a training run is made of; calm: a new world to evaluate in."""
+    """Everything that a training run is made of.
+
+    calm: a new world to evaluate in; path: how value and gradient are found, in words; compiled:
+    the same learner as a compiler wants it, None if it is not to be compiled.
+    """
 
     learner: AnyLearner
     world: World
@@ -300,10 +312,12 @@ class Setup:
     card: PolicyCard
     path: str
     indicator: ValueErrorIndicator | None
+    compute: Compute
+    compiled: Learner | None
 
 
-def build(config: DictConfig) -> Setup:
-    """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
+def _check(config: DictConfig) -> None:
+    """Refuse keys and numbers that are wrong whatever is built of them."""
     check_keys(config)
     check_numbers(config)
     check_seeds(config)
@@ -314,24 +328,45 @@ def build(config: DictConfig) -> Setup:
     at_least("compute.threads", config.compute.threads, 1)
     at_least("log.every", config.log.every, 1)
     at_least("log.checkpoint", config.log.checkpoint, config.log.every)
-    budget = _build_budget(config.train)
+    at_least("compute.compile_after", config.compute.compile_after, 0)
 
-    dtype = build_precision(config.compute)
+
+def build(config: DictConfig) -> Setup:
+    """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
+    _check(config)
+    budget = _build_budget(config.train)
     sim = build_sim(config.domain)
-    world = World(sim, dtype)
+    if has_inverse(config):
+        return _assemble(config, sim, budget, plan_inverse(config.compute, budget, World(sim)))
+    compute = plan(config.compute, budget, World(sim), config.seeds)
+    setup = _assemble(config, sim, budget, compute)
+    if compute.compiled and setup.compiled is None:
+        if compute.required:
+            raise ConfigError(
+                "compute.compile=on: expected a closed form to compile, but this run takes the "
+                f"{setup.path}"
+            )
+        setup = _assemble(config, sim, budget, uncompiled(compute, config.compute))
+    return setup
+
+
+def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) -> Setup:
+    world = World(sim, compute.dtype, compute.device)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     if config.eval.domain:
         build_sim(evaluated)
     seeds = [config.seed + k for k in range(config.seeds)]
-    indicator = None
+    indicator = compiled = None
     if has_inverse(config):
-        learner = build_inverse_learner(config, sim, dtype)
+        learner = build_inverse_learner(config, sim, compute.dtype)
         path = "inverse policy, its adjoint written out"
     else:
-        learner, path, indicator = _build_forward(config, world, dtype)
+        forward = _build_forward(config, world, compute)
+        learner, path = forward.learner, forward.path
+        indicator, compiled = forward.indicator, forward.compiled
     card = policy_card(sim, learner.policy, seeds)
 
     def calm() -> World:
-        return World(build_sim(evaluated), dtype)
+        return World(build_sim(evaluated), compute.dtype, compute.device)
 
-    return Setup(learner, world, calm, seeds, budget, card, path, indicator)
+    return Setup(learner, world, calm, seeds, budget, card, path, indicator, compute, compiled)

@@ -16,18 +16,12 @@ from rich.console import Console
 from rich.table import Table
 
 from edtorch.app import schemas
-from edtorch.app.build import (
-    build_actor,
-    build_precision,
-    build_sim,
-    changed_domain,
-    policy_card,
-)
+from edtorch.app.build import build_actor, build_sim, changed_domain, policy_card
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
 from edtorch.app.signals import Stop
-from edtorch.checkpoint import load_policy, write_text
+from edtorch.checkpoint import load_policy, policy_dtype, write_text
 from edtorch.evaluation import evaluate, evaluate_yardstick
 from edtorch.records import Episode
 from edtorch.report.statistics import evaluation_figures, goal_figures
@@ -113,8 +107,8 @@ def _evaluate(config: DictConfig) -> float:
             if config.policy is None
             else ConfigError(f"policy={path}: no such file")
         )
-    dtype = build_precision(run_config.compute)
     sim = build_sim(changed_domain(run_config.domain, config.domain, "domain"))
+    dtype = policy_dtype(path)
     world = World(sim, dtype)
     policy, shapes = build_actor(run_config, sim, dtype)
     seeds = [run_config.seed + k for k in range(run_config.seeds)]

@@ -284,6 +284,27 @@ class PlainStepConfig:
 
 
 @dataclass
+class RivalConfig:
+    """What searches instead of the learner; null: the learner."""
+
+    _target_: str | None = None
+
+
+@dataclass
+class RandomSearchConfig(RivalConfig):
+    """``edtorch.rivals.random_search.RandomSearch``; processes: of this many cores, null: all that
+    this process may use."""
+
+    policies: int = 100_000
+    runs: int = 30
+    low: float = -2.0
+    high: float = 2.0
+    slots: int = 1024
+    look: int = 128
+    processes: int | None = None
+
+
+@dataclass
 class BudgetConfig:
     """Per learner, whichever ends first; null: unlimited."""
 
@@ -304,10 +325,15 @@ class EvalConfig:
 
 @dataclass
 class ComputeConfig:
-    """precision: of the learner (the sim is float64); threads: of torch in this process."""
+    """precision: auto, float64 or mixed (learner float32, sim float64); threads: of torch in this
+    process; compile: auto, on or off; compile_after: ticks before learning goes on compiled;
+    device: cpu or cuda."""
 
-    precision: str = "float64"
+    precision: str = "auto"
     threads: int = 1
+    compile: str = "auto"
+    compile_after: int = 500
+    device: str = "cpu"
 
 
 @dataclass
@@ -338,6 +364,7 @@ class TrainConfig:
     transform: Any = MISSING
     unroll: UnrollConfig = field(default_factory=UnrollConfig)
     step: Any = MISSING
+    rival: Any = field(default_factory=RivalConfig)
     train: BudgetConfig = field(default_factory=BudgetConfig)
     eval: EvalConfig = field(default_factory=EvalConfig)
     compute: ComputeConfig = field(default_factory=ComputeConfig)
@@ -400,6 +427,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "decaying_schema": DecayingStepConfig,
         "plain_schema": PlainStepConfig,
     },
+    "rival": {"rival_schema": RivalConfig, "random_search_schema": RandomSearchConfig},
 }
 
 

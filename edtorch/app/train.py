@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
+import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,11 @@ from rich.console import Console
 
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
-from edtorch.app.errors import guarded, refusing
+from edtorch.app.errors import ConfigError, guarded, refusing
 from edtorch.app.evaluations import Evaluation, Evaluations
 from edtorch.app.folders import remove_empty
 from edtorch.app.pictures import draw, draw_reaching
+from edtorch.app.rival import build_search, is_rival, run_search
 from edtorch.app.rundir import CHECKPOINT, POLICY, SUMMARY, RunFolder, json_text
 from edtorch.app.signals import Interrupted, Stop
 from edtorch.app.summary import (
@@ -36,15 +38,18 @@ from edtorch.app.summary import (
     summary_table,
 )
 from edtorch.checkpoint import save_policy, save_training, write_text
+from edtorch.compilation import CannotCompile
 from edtorch.interact import Training
+from edtorch.learner import Learner
 from edtorch.log import ConsoleSink, CsvSink, Sink, StderrHandler, TensorBoardSink
+from edtorch.tiles import Tiles
 from edtorch.trouble import CovarianceFloored
 
 logger = logging.getLogger("edtorch")
 
 _STARTED = time.monotonic() - time.process_time()
 """When the process began, near enough: until now it has only imported."""
-_PIECE = 20
+_PIECE = 64
 """Ticks between two looks at whether to stop."""
 
 
@@ -106,6 +111,29 @@ def _advance(training: Training, ticks: int, stop: Stop) -> None:
             raise _Stopped
 
 
+def _go_on_compiled(training: Training, learner: Learner, *, required: bool) -> None:
+    """From now on by a compiled program; without one, as before, if that is allowed."""
+    began = time.monotonic()
+    logger.info("compiling the tick, unless that has been done before...")
+    try:
+        tick = dataclasses.replace(training.tick, learner=learner)
+        stage = Tiles(tick, training.stage.population, training.seeds)
+    except CannotCompile as error:
+        if required:
+            raise ConfigError(f"compute.compile=on: {error}") from error
+        logger.warning("not compiled, and several times slower for it: %s", error)
+        return
+    training.stage = stage
+    how = "from the cache" if stage.program.seconds is None else "kept for the next run"
+    logger.info(
+        "compiled from tick %d on, in tiles of %d learners (%.1f s, %s)",
+        training.clock,
+        stage.program.size,
+        time.monotonic() - began,
+        how,
+    )
+
+
 def _report_evaluation(job: _Job, done: Evaluation, sinks: list[Sink]) -> None:
     """One line on the console, and scalars."""
     figures = {k: v for k, v in done.as_json().items() if k != "minutes"}
@@ -122,12 +150,19 @@ def _report_evaluation(job: _Job, done: Evaluation, sinks: list[Sink]) -> None:
 
 def _learn(job: _Job, training: Training, sinks: list[Sink], evaluations: Evaluations) -> None:
     """Run the loop to the end of every budget, reporting on the way."""
-    log = job.config.log
+    log, after = job.config.log, job.setup.compute.after
     per_snapshot = max(1, round(log.every / training.world.dt))
     next_save = log.checkpoint
     reported, warned, floored = 0, set(), set()
+    waiting = job.setup.compiled
     while not training.done:
-        _advance(training, evaluations.ticks_ahead(training.clock, per_snapshot), job.stop)
+        if waiting is not None and training.clock >= after:
+            _go_on_compiled(training, waiting, required=job.setup.compute.required)
+            waiting = None
+        ticks = evaluations.ticks_ahead(training.clock, per_snapshot)
+        if waiting is not None:
+            ticks = min(ticks, after - training.clock)
+        _advance(training, ticks, job.stop)
         snapshot = training.snapshot()
         if job.setup.indicator is not None:
             estimate = job.setup.indicator(training.learners, training.worlds.observation)
@@ -198,7 +233,8 @@ def _train(job: _Job) -> dict[str, Any]:
     stride = max(1, setup.world.limit_ticks // 10_000)
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget, stride)
     title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
-    logger.info("%s; %s", title, setup.path)
+    precision = "float64" if setup.world.dtype == torch.float64 else "mixed precision"
+    logger.info("%s; %s; %s", title, setup.path, precision)
     timing = Timing(startup_s=time.monotonic() - job.began)
     sinks, board = _sinks(job, _measures(training))
     evaluations = Evaluations(setup, config)
@@ -226,7 +262,7 @@ def _train(job: _Job) -> dict[str, Any]:
     write_text(job.path / SUMMARY, json_text(summary))
     console.print(summary_table(summary, title))
     if summary["never_rode"]:
-        console.print(f"never rode: seeds {summary['never_rode']}", soft_wrap=True)
+        console.print(_never_rode(summary["never_rode"]), soft_wrap=True)
     console.print(
         f"learning {timing.wall_s:.1f} s ({timing.ticks_per_cpu_s:.0f} learner ticks per CPU s),"
         f" evaluation {timing.eval_s:.1f} s, pictures {timing.figures_s:.1f} s",
@@ -234,6 +270,12 @@ def _train(job: _Job) -> dict[str, Any]:
     )
     console.print(f"run folder: {job.path}", soft_wrap=True)
     return summary
+
+
+def _never_rode(seeds: list[int], most: int = 20) -> str:
+    listed = ", ".join(map(str, seeds[:most]))
+    more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
+    return f"never rode: seeds {listed}{more}"
 
 
 @contextlib.contextmanager
@@ -257,15 +299,35 @@ def _logging_to(folder: Path) -> Iterator[None]:
             handler.close()
 
 
+def _work(
+    config: DictConfig, folder: RunFolder, stop: Stop, began: float
+) -> tuple[list[int], Callable[[], dict[str, Any]]]:
+    """The seeds, and what there is to do: learn, or whatever a rival does instead."""
+    if is_rival(config):
+        search = build_search(config)
+        return [search.seed], lambda: run_search(search, config, folder.path, stop, Console())
+    setup = build(config)
+    return setup.seeds, lambda: _train(_Job(setup, config, folder, stop, Console(), began))
+
+
+def _headline(summary: dict[str, Any]) -> float:
+    """What a sweeper minimises: simulated seconds before the first ride, or for a rival those that
+    a policy costs that always reaches the goal."""
+    if "seconds_before_first_ride" in summary:
+        return float(summary["seconds_before_first_ride"]["median"])
+    cost = summary["simulated_seconds_per_goal_policy"]
+    return math.inf if cost is None else float(cost)
+
+
 def _run(config: DictConfig, folder: RunFolder, stop: Stop, began: float) -> dict[str, Any]:
     """The job from configuration to table; the folder says at any time what has become of it."""
-    setup = build(config)
+    seeds, work = _work(config, folder, stop, began)
     torch.set_num_threads(config.compute.threads)
-    folder.begin(config, setup.seeds)
+    folder.begin(config, seeds)
     try:
         with _logging_to(folder.path):
             try:
-                summary = _train(_Job(setup, config, folder, stop, Console(), began))
+                summary = work()
             except Exception:
                 logger.exception("failed")
                 raise
@@ -285,7 +347,7 @@ def _run(config: DictConfig, folder: RunFolder, stop: Stop, began: float) -> dic
 
 
 def _task(config: DictConfig) -> float:
-    """One job.  Returns the median seconds before the first ride, for sweepers to minimise."""
+    """One job.  Returns its headline figure, for sweepers to minimise."""
     settings = HydraConfig.get()
     alone = settings.mode == RunMode.RUN
     began = _STARTED if alone else time.monotonic()
@@ -298,7 +360,7 @@ def _task(config: DictConfig) -> float:
     finally:
         if not alone:
             remove_empty(folder.path, folder.path.parent)
-    return float(summary["seconds_before_first_ride"]["median"])
+    return _headline(summary)
 
 
 def main() -> None:

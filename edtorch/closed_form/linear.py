@@ -73,5 +73,6 @@ def linear_loop(
 
 def closed(drift: Tensor, G: Tensor, theta: Tensor) -> Tensor:
     """A = I + drift + G theta, ``[B, N, N]``."""
-    identity = torch.eye(drift.shape[-1], dtype=drift.dtype, device=drift.device)
-    return torch.baddbmm(identity + drift, G, theta)
+    A = torch.baddbmm(drift, G, theta)
+    A.diagonal(dim1=-2, dim2=-1).add_(1)
+    return A

@@ -8,9 +8,9 @@ vector instructions.  Uncompiled it is slow.  The recursions go by increments, D
     X_{tau+1} = P_tau + P_tau D' + nu,    Lambda_tau = w_tau C + Y_tau + D' Y_tau,
     P_tau = X_tau + D X_tau,              Y_tau = Lambda_{tau+1} + Lambda_{tau+1} D,
 
-which in float32 makes a quarter of the error that A = I + D makes.  Only G' lambda, of m rows, is
-kept of the adjoint.  V itself needs no sum over time: it is quadratic in s_0, hence
-V = 1/2 s_0' dV/ds_0; and with covariance V = -tr(A' Lambda_1 A X_0) - sum_tau tr(Lambda_tau nu).
+which in float32 makes a quarter of the error that A = I + D makes.  V itself needs no sum over
+time: it is quadratic in s_0, hence V = 1/2 s_0' dV/ds_0; and with covariance
+V = -tr(A' Lambda_1 A X_0) - sum_tau tr(Lambda_tau nu).
 """
 
 from __future__ import annotations
@@ -87,13 +87,14 @@ def mean_by_recursion(
     for _ in weights:
         states.append(states[-1] + _apply(D, states[-1]))
     adjoint = (-2 * weights[-1]) * pull(states[-1])
-    gradient = torch.zeros_like(theta)
+    through = torch.zeros_like(D)
     for tau in range(len(weights), 0, -1):
-        gradient = gradient + _transposed(G, adjoint).unsqueeze(1) * states[tau - 1].unsqueeze(0)
+        through = through + adjoint.unsqueeze(1) * states[tau - 1].unsqueeze(0)
         adjoint = adjoint + _transposed(D, adjoint)
         if tau > 1:
             adjoint = adjoint + (-2 * weights[tau - 2]) * pull(states[tau - 1])
     value = 0.5 * (adjoint * states[0]).sum(0)
+    gradient = _product(G.movedim(0, 1), through)
     if action_cost is not None:
         weighed = _product(action_cost.unsqueeze(-1), theta)
         for weight, state in zip(weights, states[1:], strict=True):

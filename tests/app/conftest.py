@@ -140,3 +140,9 @@ def quick_runs() -> Callable[..., None]:
         assert result.status == 0, result.err
 
     return make
+
+
+@pytest.fixture(scope="session")
+def quick_command() -> Callable[..., Result]:
+    """Calls a command in this process, wherever that is."""
+    return call

@@ -1,0 +1,89 @@
+"""What compiling costs: the first time ever, the first time of a program, and from the disk.
+
+Each figure is that of a process of its own, CPU and wall seconds, from an empty cache (Inductor's
+and edtorch's), then from one in which Inductor has already tried the processor and its headers,
+then from the program on disk.
+
+    python -m benchmarks.compile [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.timing import print_table, write_json
+
+CASES = {
+    "mean only, mixed, tile of 256": ("256", "", "mixed"),
+    "mean only, float64, tile of 256": ("256", "", "float64"),
+    "mean only, mixed, tile of 16": ("8", "", "mixed"),
+    "with covariance, mixed, tile of 256": ("256", "covariance", "mixed"),
+}
+
+
+def one(size: str, covariance: str, precision: str) -> dict[str, float]:
+    """In this process: CPU and wall seconds from a population to its first compiled ticks."""
+    import torch
+
+    from benchmarks.bicycle import compiled_training
+
+    torch.set_num_threads(1)
+    cpu, wall = time.process_time(), time.monotonic()
+    children = os.times().children_user + os.times().children_system
+    compiled_training(int(size), covariance=bool(covariance), precision=precision).advance(16)
+    after = os.times().children_user + os.times().children_system
+    return {
+        "cpu_s": time.process_time() - cpu + after - children,
+        "wall_s": time.monotonic() - wall,
+    }
+
+
+def in_a_process(case: tuple[str, str, str], folder: Path) -> dict[str, float]:
+    """``one`` in a process of its own, with its caches in ``folder``."""
+    place = {"EDTORCH_CACHE": str(folder / "edtorch"), "TORCHINDUCTOR_CACHE_DIR": str(folder / "i")}
+    command = [sys.executable, "-m", "benchmarks.compile", "--one", *case]
+    done = subprocess.run(
+        command, env=os.environ | place, check=True, capture_output=True, text=True
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    if options.one:
+        print(json.dumps(one(*options.one)))
+        return
+    table: dict[str, dict[str, dict[str, float]]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, case in CASES.items():
+            when = "first of all" if not table else "cold"
+            table[name] = {when: in_a_process(case, Path(folder))}
+            table[name]["from disk"] = in_a_process(case, Path(folder))
+    columns = ["first of all", "cold", "from disk"]
+    print("CPU s (wall s) to the first compiled ticks")
+    print_table(
+        "",
+        columns,
+        {
+            name: [
+                f"{row[c]['cpu_s']:.1f} ({row[c]['wall_s']:.1f})" if c in row else "-"
+                for c in columns
+            ]
+            for name, row in table.items()
+        },
+    )
+    write_json(options.json, {"seconds": table})
+
+
+if __name__ == "__main__":
+    main()

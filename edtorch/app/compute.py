@@ -1,0 +1,143 @@
+"""How a run computes: precision, device, and whether its ticks are compiled."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, replace
+from typing import Any, get_args
+
+import torch
+
+from edtorch.app.errors import ConfigError
+from edtorch.compilation import CannotCompile, Wish, check_compiler
+from edtorch.learner import Learner
+from edtorch.records import Budget
+from edtorch.streams import BLOCK
+from edtorch.world import World
+
+PRECISIONS = ("auto", "float64", "mixed")
+
+WORTHWHILE_TICKS = 20_000
+"""Of one learner, from which on compiling takes less time than it saves."""
+
+LARGEST_UNCOMPILED = 1024
+"""Learners up to which a run starts uncompiled, to show something while nothing is compiled yet."""
+
+_BYTES = 8
+"""Of a number, at most."""
+
+
+@dataclass(frozen=True)
+class Compute:
+    """dtype: of the learner; device: of everything; compiled: whether its ticks are, if they can
+    be; required: whether it is an error if they cannot; after: the tick from which on."""
+
+    dtype: torch.dtype
+    device: torch.device
+    compiled: bool
+    required: bool
+    after: int
+
+
+def expected_ticks(budget: Budget, world: World) -> float:
+    """Ticks that a learner will live for, at most."""
+    limits = [math.inf if budget.seconds is None else budget.seconds / world.dt]
+    limits += [
+        math.inf if count is None else count * world.limit_ticks
+        for count in (budget.episodes, budget.rides)
+    ]
+    return min(limits)
+
+
+def check_choices(config: Any) -> None:
+    """Refuse precisions, ways to compile and devices that are none."""
+    for name, known in (
+        ("precision", PRECISIONS),
+        ("compile", get_args(Wish)),
+        ("device", ("cpu", "cuda")),
+    ):
+        if config[name] not in known:
+            hint = "; mixed is float32 for the learner" if config[name] == "float32" else ""
+            raise ConfigError(
+                f"compute.{name}={config[name]}: expected one of {', '.join(known)}{hint}"
+            )
+
+
+def _device(name: str) -> torch.device:
+    """The device of the run; ConfigError if it is not there."""
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(
+            f"compute.device=cuda: torch {torch.__version__} finds no CUDA device; expected cpu, or"
+            " a machine with one and a torch that is built for it"
+        )
+    return torch.device(name)
+
+
+def plan(config: Any, budget: Budget, world: World, learners: int) -> Compute:
+    """From the group ``compute``; raises ConfigError."""
+    check_choices(config)
+    required = config.compile == "on"
+    compiled = required or (
+        config.compile == "auto"
+        and getattr(world.sim, "traceable", False)
+        and expected_ticks(budget, world) >= WORTHWHILE_TICKS
+    )
+    if required:
+        if not getattr(world.sim, "traceable", False):
+            raise ConfigError(
+                "compute.compile=on: expected a domain that can be compiled;"
+                f" {world.spec.name} does not say so of itself (traceable)"
+            )
+        try:
+            check_compiler()
+        except CannotCompile as error:
+            raise ConfigError(f"compute.compile=on: {error}") from error
+    single = config.precision == "mixed" or (config.precision == "auto" and compiled)
+    after = config.compile_after if learners <= LARGEST_UNCOMPILED else 0
+    dtype = torch.float32 if single else torch.float64
+    return Compute(dtype, _device(config.device), compiled, required, after)
+
+
+def uncompiled(compute: Compute, config: Any) -> Compute:
+    """The same without compiling, and in the precision that ``auto`` then stands for."""
+    dtype = torch.float64 if config.precision == "auto" else compute.dtype
+    return replace(compute, dtype=dtype, compiled=False)
+
+
+def plan_inverse(config: Any, budget: Budget, world: World) -> Compute:
+    """``plan`` for learners of inverse models, which are never compiled."""
+    check_choices(config)
+    if config.compile == "on":
+        raise ConfigError(
+            "compute.compile=on: expected auto or off with an inverse model, which is not compiled"
+        )
+    if config.device != "cpu":
+        raise ConfigError(f"compute.device={config.device}: expected cpu with an inverse model")
+    return uncompiled(plan(config, budget, world, 1), config)
+
+
+def needed_bytes(learner: Learner, world: World, learners: int) -> int:
+    """Memory that a population takes, about: its random numbers, its state (now and before), and
+    the tape of an uncompiled unroll."""
+    numbers = world.uniforms + len(world.spec.action)
+    states = sum(p.numel() for p in learner.model.parameters()) + sum(
+        p.numel() for p in learner.policy.parameters()
+    )
+    squares = len(world.spec.state) ** 2
+    per_learner = 2 * BLOCK * numbers + 4 * states + 100 * squares + 500
+    return learners * per_learner * _BYTES
+
+
+def check_memory(learner: Learner, world: World, learners: int) -> None:
+    """Refuse a population that the machine has no memory for; ConfigError."""
+    needed, device = needed_bytes(learner, world, learners), world.device
+    if device.type == "cuda":
+        free, _ = torch.cuda.mem_get_info(device)
+    else:
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > free:
+        raise ConfigError(
+            f"seeds={learners}: takes about {needed / 2**30:.1f} GiB of memory,"
+            f" {free / 2**30:.1f} are free; expected fewer, or several runs (-m seed=0,100000,...)"
+        )

@@ -1,0 +1,257 @@
+"""A rival's job behind ``edtorch-train``: random policy search, and what it leaves."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+from torch import Tensor
+from torch.utils.tensorboard.writer import SummaryWriter
+
+from edtorch.app.build import build_policy, build_sim, policy_card
+from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.compute import check_choices
+from edtorch.app.construct import construct
+from edtorch.app.errors import ConfigError
+from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
+from edtorch.app.signals import Stop
+from edtorch.checkpoint import save_policy, write_text
+from edtorch.compilation import Wish
+from edtorch.policies import LinearPolicy
+from edtorch.report.proportions import Proportion
+from edtorch.rivals.random_search import (
+    Progress,
+    RandomSearch,
+    SearchResult,
+    policy_weights,
+    search,
+)
+from edtorch.world import World
+
+POLICIES = "policies.csv"
+
+
+@dataclass(frozen=True)
+class SearchSetup:
+    """Everything that a random search is made of."""
+
+    settings: RandomSearch
+    world: World
+    policy: LinearPolicy
+    seed: int
+    processes: int
+    wish: Wish
+
+
+def is_rival(config: DictConfig) -> bool:
+    """Whether something else than the learner is asked for."""
+    if not isinstance(config.rival, DictConfig):
+        raise ConfigError(f"rival={config.rival}: expected a mapping with a _target_")
+    return config.rival.get("_target_") is not None
+
+
+def build_search(config: DictConfig) -> SearchSetup:
+    """Objects for a random search.  Raises ConfigError, which names the key."""
+    check_keys(config)
+    check_numbers(config)
+    check_seeds(config)
+    at_least("compute.threads", config.compute.threads, 1)
+    if config.seeds != 1:
+        raise ConfigError(f"seeds={config.seeds}: expected 1 with a rival; vary seed in a sweep")
+    check_choices(config.compute)
+    processes = config.rival.get("processes")
+    if processes is None:
+        processes = len(os.sched_getaffinity(0))
+    at_least("rival.processes", processes, 1)
+    keys = [str(key) for key in config.rival if key != "processes"]
+    settings = construct("rival", OmegaConf.masked_copy(config.rival, keys))
+    if not isinstance(settings, RandomSearch):
+        raise ConfigError(f"rival._target_={config.rival._target_}: expected RandomSearch")
+    dtype = torch.float32 if config.compute.precision == "mixed" else torch.float64
+    sim = build_sim(config.domain)
+    policy = build_policy(config.policy, sim, dtype, config.seed)
+    return SearchSetup(
+        settings, World(sim, dtype), policy, config.seed, processes, config.compute.compile
+    )
+
+
+class _Report:
+    """Progress to ``metrics.csv``, TensorBoard and the console; it also looks for a stop."""
+
+    COLUMNS = ("wall_s", "decided", "goal", "stable", "steps")
+
+    def __init__(
+        self, setup: SearchSetup, config: DictConfig, folder: Path, stop: Stop, console: Console
+    ) -> None:
+        self._total = setup.settings.policies
+        self._stop = stop
+        self._console = console
+        self._began = self._printed = time.monotonic()
+        self._file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
+        self._rows = csv.writer(self._file)
+        self._rows.writerow(self.COLUMNS)
+        self._board = SummaryWriter(str(folder)) if config.log.tensorboard else None
+        self._live: Live | None = None
+        self._shown = config.log.progress
+        if self._shown and console.is_terminal:
+            self._live = Live(console=console, auto_refresh=False, transient=True)
+            self._live.start()
+
+    def __call__(self, progress: Progress) -> None:
+        """Raises KeyboardInterrupt once somebody has asked to stop."""
+        now = time.monotonic()
+        wall = now - self._began
+        row = (progress.decided, progress.goal, progress.stable, progress.steps)
+        self._rows.writerow((f"{wall:.3f}", *row))
+        self._file.flush()
+        if self._board is not None:
+            for name, value in zip(self.COLUMNS[1:], row, strict=True):
+                self._board.add_scalar(f"search/{name}", value, round(wall * 10))
+        line = (
+            f"{wall:5.0f} s  decided {progress.decided}/{self._total}  goal {progress.goal}  "
+            f"stable {progress.stable}  {progress.steps / max(wall, 1e-9) / 1e6:.1f} M steps per s"
+        )
+        if self._live is not None:
+            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+        elif self._shown and now - self._printed >= 10:
+            self._printed = now
+            self._console.print(line, soft_wrap=True, highlight=False)
+        if self._stop.asked:
+            raise KeyboardInterrupt
+
+    def close(self) -> None:
+        """Close the files, leave the terminal as it was."""
+        self._file.close()
+        if self._board is not None:
+            self._board.close()
+        if self._live is not None:
+            self._live.stop()
+
+
+def _numbers(values: Tensor) -> list[float]:
+    return [v for v in values.tolist() if math.isfinite(v)]
+
+
+def summarise_search(setup: SearchSetup, result: SearchResult, wall_s: float) -> dict[str, Any]:
+    """The content of ``summary.json``.
+
+    distance_m: median over the policies that always reach the goal of their mean path length, where
+    the sim measures one.  episodes, steps: of a search that tries one policy after the other and
+    drops each at its first failure; steps_done: as made here, with some that were not needed.
+    """
+    total = len(result.policy)
+    goal, stable = int(result.goal.sum()), int(result.stable.sum())
+    seconds = result.steps * setup.world.dt
+    figures = {name: _numbers(values) for name, values in result.measures.items()}
+    medians = {
+        name: float(torch.tensor(values, dtype=torch.float64).median()) if values else None
+        for name, values in figures.items()
+    }
+    running_s = max(result.cpu_s - result.compile_s, 1e-9)
+    return {
+        "seed": setup.seed,
+        "features": len(setup.world.spec.state),
+        "policies": total,
+        "runs": setup.settings.runs,
+        "goal": Proportion(goal, total).as_json(),
+        "stable_not_to_the_goal": Proportion(stable, total).as_json(),
+        "rejected": Proportion(total - goal - stable, total).as_json(),
+        "median_of_goal_policies": medians,
+        "distance_m": medians.get("path_length_m"),
+        "episodes": result.episodes,
+        "steps": result.steps,
+        "simulated_seconds": seconds,
+        "simulated_seconds_per_goal_policy": seconds / goal if goal else None,
+        "steps_done": result.steps_done,
+        "steps_per_cpu_s": result.steps_done / running_s,
+        "processes": setup.processes,
+        "wall_s": wall_s,
+        "cpu_s": result.cpu_s,
+        "compile_cpu_s": result.compile_s,
+        "versions": versions(),
+        "command": command_line(),
+    }
+
+
+def _percent(share: dict[str, Any]) -> tuple[str, str, str]:
+    return (
+        str(share["count"]),
+        f"{100 * share['rate']:.3f} %",
+        f"{100 * share['low']:.3f} - {100 * share['high']:.3f} %",
+    )
+
+
+def search_table(summary: dict[str, Any], title: str) -> Table:
+    """Counts and shares with their intervals, for the terminal."""
+    table = Table(title=title, title_justify="left")
+    table.add_column("policies")
+    for name in ("count", "share", "Wilson 95 %"):
+        table.add_column(name, justify="right")
+    runs = summary["runs"]
+    table.add_row(f"goal in {runs} of {runs} runs", *_percent(summary["goal"]))
+    table.add_row("stable, not always to the goal", *_percent(summary["stable_not_to_the_goal"]))
+    table.add_row("failed", *_percent(summary["rejected"]))
+    return table
+
+
+def _write_policies(setup: SearchSetup, result: SearchResult, folder: Path) -> None:
+    """``policies.csv``: who never failed; ``policy.safetensors``: weights of who always arrived."""
+    kept = (result.goal | result.stable).nonzero().flatten().tolist()
+    with (folder / POLICIES).open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow(("policy", "kind", *result.measures))
+        for row in kept:
+            kind = "goal" if bool(result.goal[row]) else "stable"
+            cells = (float(values[row]) for values in result.measures.values())
+            figures = (f"{v:.6f}" if math.isfinite(v) else "" for v in cells)
+            rows.writerow((int(result.policy[row]), kind, *figures))
+    ids = result.policy[result.goal]
+    weights = policy_weights(setup.settings, setup.policy, setup.seed, ids)
+    card = policy_card(setup.world.sim, setup.policy, ids.tolist())
+    save_policy(folder / POLICY, {"weight": weights.to(setup.world.dtype)}, card)
+
+
+def run_search(
+    setup: SearchSetup, config: DictConfig, folder: Path, stop: Stop, console: Console
+) -> dict[str, Any]:
+    """Search, write everything; returns the content of ``summary.json``."""
+    title = f"{setup.world.spec.name}, {setup.settings.policies} random policies"
+    report = _Report(setup, config, folder, stop, console)
+    began = time.monotonic()
+    try:
+        result = search(
+            setup.settings,
+            setup.world,
+            setup.policy,
+            seed=setup.seed,
+            processes=setup.processes,
+            wish=setup.wish,
+            report=report,
+        )
+    finally:
+        report.close()
+    summary = summarise_search(setup, result, time.monotonic() - began)
+    _write_policies(setup, result, folder)
+    write_text(folder / SUMMARY, json_text(summary))
+    console.print(search_table(summary, title))
+    for name, value in summary["median_of_goal_policies"].items():
+        if value is not None:
+            console.print(f"{name}: {value:.2f} (median over the policies to the goal)")
+    console.print(
+        f"{summary['wall_s']:.1f} s, {summary['steps_per_cpu_s'] / 1e6:.1f} M simulator steps per"
+        f" CPU s, {summary['episodes']} episodes",
+        soft_wrap=True,
+    )
+    console.print(f"run folder: {folder}", soft_wrap=True)
+    return summary

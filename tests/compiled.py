@@ -1,0 +1,72 @@
+"""What the tests of compiled ticks share: a small learner in both of its forms."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from edtorch.compilation import CannotCompile, check_compiler
+from edtorch.dispatch import choose_path
+from edtorch.features import Affine, Identity
+from edtorch.fit import RecursiveLeastSquares, SquaredError
+from edtorch.interact import Training
+from edtorch.learner import Learner
+from edtorch.models import DerivativeModel
+from edtorch.noise import ResidualNoise
+from edtorch.policies import LinearPolicy
+from edtorch.records import Budget
+from edtorch.rewards import QuadraticReward
+from edtorch.tick import Tick
+from edtorch.transform import FirstOrder, MeanOnly
+from edtorch.types import replace
+from edtorch.unroll import Horizon
+from edtorch.update import SaturatedStep
+from edtorch.world import World
+from sims.bicycle import Bicycle
+
+
+def needs_a_compiler() -> None:
+    """Skip a module where nothing can be compiled."""
+    try:
+        check_compiler()
+    except CannotCompile as reason:
+        pytest.skip(f"nothing can be compiled here: {reason}", allow_module_level=True)
+
+
+def training_and_tick(
+    seeds: list[int], budget: Budget, *, rich: bool = False
+) -> tuple[Training, Tick]:
+    """Learners on the bicycle with a short horizon, and their tick as a compiler wants it.
+
+    rich: with a constant term, least squares, covariance, noise, a start belief and action cost.
+    """
+    world = World(Bicycle())
+    n, m = len(world.spec.state), len(world.spec.action)
+    model = DerivativeModel(n, m, (Affine if rich else Identity)(n + m), world.period)
+    policy = LinearPolicy(n, m, Identity(n))
+    eye = torch.eye(n, dtype=torch.float64)
+    R = (0.1 if rich else 0.0) * torch.eye(m, dtype=torch.float64)
+    noise = ResidualNoise(1.0) if rich else None
+    choice = choose_path(
+        "closed_form",
+        model,
+        policy,
+        QuadraticReward(eye, R),
+        FirstOrder() if rich else MeanOnly(),
+        Horizon(4, 0.051, 0.9, 0.051),
+        noise=noise,
+        start_cov=0.01 * eye,
+    )
+    learner = Learner(
+        model=model,
+        policy=policy,
+        fit=RecursiveLeastSquares() if rich else SquaredError(10.0),
+        noise=noise,
+        value=choice.path,
+        step_rule=SaturatedStep(0.3, 1.0),
+        exploration=0.05,
+    )
+    assert choice.compiled is not None
+    training = Training(learner, world, seeds, budget)
+    compiled = replace(learner, value=choice.compiled)
+    return training, replace(training.tick, learner=compiled)

@@ -1,0 +1,50 @@
+"""What a program is named by, and where it is kept."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from edtorch.learner import Learner
+from edtorch.program import cache_folder, program_name
+from edtorch.records import Budget
+from edtorch.tick import Tick
+from edtorch.types import replace
+from edtorch.world import World
+from sims.bicycle import Bicycle
+from tests.compiled import training_and_tick
+
+A, B = torch.zeros(3, 4, 6), torch.zeros(3, 5, 6)
+
+
+def key(tick: Tick, tensor: Tensor = A) -> str:
+    return program_name(tick, [tick.world.sim], [tensor])
+
+
+def test_a_program_is_named_by_all_that_it_depends_on() -> None:
+    budget = Budget(seconds=1.0)
+    tick, same = training_and_tick([1], budget)[1], training_and_tick([2], budget)[1]
+    # What a sim has computed for later says nothing new.
+    assert same.world.sim.spec.name == "bicycle"
+    assert key(tick) == key(same)
+    longer = training_and_tick([1], Budget(seconds=99.0))[1]
+    assert key(tick) == key(longer)
+    assert isinstance(tick.learner, Learner)
+    others = [
+        training_and_tick([1], budget, rich=True)[1],
+        replace(tick, most_rides=1),
+        replace(tick, learner=replace(tick.learner, exploration=0.1)),
+        replace(tick, world=World(Bicycle(noise=0.01))),
+        replace(tick, world=World(Bicycle(), torch.float32)),
+    ]
+    names = {key(tick), *map(key, others), key(tick, A.double()), key(tick, B)}
+    assert len(names) == len(others) + 3
+
+
+def test_where_programs_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EDTORCH_CACHE", "/somewhere")
+    assert str(cache_folder()) == "/somewhere"
+    monkeypatch.delenv("EDTORCH_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/caches")
+    assert str(cache_folder()) == "/caches/edtorch"
