@@ -34,6 +34,11 @@ def check_compiler() -> None:
             f"torch {torch.__version__} is outside of the range in which compiling has been tested,"
             f" {least} up to but not {bound}: install one of these"
         )
+    if any(character.isspace() for character in torch.__file__):
+        raise CannotCompile(
+            f"torch lies under a path with a space, {torch.__file__!r}, which it does not quote for"
+            " the compiler: move the environment"
+        )
     named = os.environ.get("CXX")
     if not any(shutil.which(name) for name in ([named] if named else ["g++", "clang++"])):
         raise CannotCompile(

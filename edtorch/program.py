@@ -113,9 +113,12 @@ def program_name(function: object, parts: Sequence[object], tensors: Sequence[Te
     for file in _source_files(parts):
         content.update(file.read_bytes())
     description = io.BytesIO()
+    pickler = _Description(description)
+    # Without a memo: whether two equal strings are one object depends on how a module was loaded.
+    pickler.fast = True
     try:
-        _Description(description).dump(function)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        pickler.dump(function)
+    except (pickle.PicklingError, AttributeError, TypeError, RecursionError) as error:
         raise CannotCompile(f"its parts cannot be pickled ({error})") from error
     content.update(description.getvalue())
     layout = [(tuple(x.shape), str(x.dtype), str(x.device)) for x in tensors]

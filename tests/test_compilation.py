@@ -22,6 +22,12 @@ def test_with_an_untried_torch(monkeypatch: pytest.MonkeyPatch) -> None:
         check_compiler()
 
 
+def test_where_torch_cannot_call_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "__file__", "/home/a user/torch/__init__.py")
+    with pytest.raises(CannotCompile, match="path with a space, '/home/a user/torch"):
+        check_compiler()
+
+
 def test_without_a_compiler_functions_stay_as_they_are(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

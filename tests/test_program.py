@@ -42,6 +42,13 @@ def test_a_program_is_named_by_all_that_it_depends_on() -> None:
     assert len(names) == len(others) + 3
 
 
+def test_equal_strings_need_not_be_one_object() -> None:
+    one, other = "".join(["le", "an"]), "".join(["le", "an"])
+    assert one is not other
+    names = {program_name(pair, [], []) for pair in ((one, one), (one, other))}
+    assert len(names) == 1
+
+
 def test_where_programs_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("EDTORCH_CACHE", "/somewhere")
     assert str(cache_folder()) == "/somewhere"
