@@ -26,6 +26,8 @@ import torch
 from benchmarks.bicycle import compiled_training, draws, numbers, paper_setup, paper_training
 from benchmarks.timing import Work, interleaved, print_table, write_json
 from edtorch.interact import Training
+from edtorch.learner import AnyLearner, Learner
+from edtorch.unroll import ValuePath
 
 BLOCK = 16
 WARM_UP = 300
@@ -76,12 +78,17 @@ def numba_row(training: Training) -> Work:
     return lambda: ticks(*given, values)
 
 
+def _value(learner: AnyLearner) -> ValuePath:
+    assert isinstance(learner, Learner)
+    return learner.value
+
+
 def parts(size: int, covariance: bool) -> dict[str, Work]:
     """The pieces of an eager tick for a population of ``size``."""
     training = paper_training(size, covariance=covariance)
     training.advance(WARM_UP)
     closed, generic = (
-        paper_setup(size, covariance=covariance, path=path).learner.value
+        _value(paper_setup(size, covariance=covariance, path=path).learner)
         for path in ("closed_form", "generic")
     )
     world, learners, here = training.world, training.learners, training.worlds

@@ -78,12 +78,10 @@ def load_training(path: Path, training: Training) -> None:
         raise FileProblem(f"{path}: not a saved population") from error
     if seeds != training.seeds:
         raise FileProblem(f"{path}: saved for seeds {seeds}, expected {training.seeds}")
-    wanted = training.learners.model["weight"].shape
-    found = learners["model"]["weight"].shape
+    wanted = {name: tuple(p.shape) for name, p in training.learners.model.items()}
+    found = {name: tuple(p.shape) for name, p in learners["model"].items()}
     if wanted != found:
-        raise FileProblem(
-            f"{path}: model weights are {tuple(found)}, this configuration has {tuple(wanted)}"
-        )
+        raise FileProblem(f"{path}: model weights are {found}, this configuration has {wanted}")
     training.restore(
         LearnerState(**learners), Experience(**worlds), content["clock"], content["finite"]
     )

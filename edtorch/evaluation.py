@@ -2,33 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
+from torch import Tensor
 
-from edtorch.policies import LinearPolicy
+from edtorch.learner import Actor
 from edtorch.records import Episode
 from edtorch.streams import Purpose, Streams, stream_key
 from edtorch.types import Parameters, select
 from edtorch.world import World
 from sims.base import Outcome
 
+Watch = Callable[[Tensor], None]
+"""Is shown the sim's states ``[S episodes, k]`` after each tick; those of an episode that has ended
+stay as they are."""
+
 
 def evaluate(
-    policy: LinearPolicy,
+    policy: Actor,
     parameters: Parameters,
     world: World,
     seeds: Sequence[int],
     episodes: int,
+    *,
+    watch: Watch | None = None,
 ) -> list[list[Episode]]:
     """Run ``episodes`` fresh episodes of each policy, without exploration and without learning.
 
     parameters: ``[S, ...]``, one policy per seed.  Returns the episodes of each policy, in order;
-    episode e of a seed is the same whatever else is evaluated beside it.
+    episode e of a seed is the same whatever else is evaluated beside it.  watch: see ``Watch``.
     """
+    expanded = {k: p.repeat_interleave(episodes, dim=0) for k, p in parameters.items()}
+
+    def act(state: Tensor, observation: Tensor) -> Tensor:
+        return policy.action(expanded, observation)
+
+    return _run(act, world, seeds, episodes, watch)
+
+
+def evaluate_yardstick(
+    control: Callable[[Tensor], Tensor], world: World, seeds: Sequence[int], episodes: int
+) -> list[list[Episode]]:
+    """The same episodes with a controller that sees all: full states ``[N, k]`` to actions
+    ``[N, m]``, physical units (``sims.base.Measured``)."""
+    return _run(
+        lambda state, observation: world.scaled(control(state)),
+        world,
+        seeds,
+        episodes,
+        None,
+    )
+
+
+def _run(
+    act: Callable[[Tensor, Tensor], Tensor],
+    world: World,
+    seeds: Sequence[int],
+    episodes: int,
+    watch: Watch | None,
+) -> list[list[Episode]]:
     keys = [stream_key(s, Purpose.EVALUATION, e) for s in seeds for e in range(episodes)]
     streams = Streams(keys, world.uniforms, 0, world.dtype, world.device)
-    expanded = {k: p.repeat_interleave(episodes, dim=0) for k, p in parameters.items()}
     finished: list[list[Episode]] = [[] for _ in seeds]
     with torch.inference_mode():
         start = state = world.initial(streams.at(0).uniform)
@@ -38,8 +73,10 @@ def evaluate(
         while bool(active.any()):
             clock += 1
             draw = streams.at(int(clock))
-            action = world.clip(policy.action(expanded, observation))
+            action = world.clip(act(state, observation))
             state = select(active, world.step(state, action, draw.uniform), state)
+            if watch is not None:
+                watch(state)
             observation = world.observe(state)
             outcome = world.outcome(state, clock)
             ended = active & (outcome != int(Outcome.RUNNING))

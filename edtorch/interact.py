@@ -12,7 +12,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from edtorch.learner import Learner
+from edtorch.learner import AnyLearner
 from edtorch.records import Budget, Episode, Snapshot
 from edtorch.streams import Purpose, Streams, stream_key
 from edtorch.tick import Experience, Population, Tick
@@ -130,7 +130,7 @@ class Training:
 
     def __init__(
         self,
-        learner: Learner,
+        learner: AnyLearner,
         world: World,
         seeds: Sequence[int],
         budget: Budget,
@@ -195,7 +195,7 @@ class Training:
 
     def advance(self, ticks: int) -> int:
         """Run up to ``ticks`` ticks, fewer if everybody is done before; returns how many."""
-        with torch.no_grad() if self.learner.value.needs_autograd else torch.inference_mode():
+        with torch.no_grad() if self.learner.needs_autograd else torch.inference_mode():
             return self._advance(ticks)
 
     def _advance(self, ticks: int) -> int:

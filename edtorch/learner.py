@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -35,6 +36,44 @@ class Check(IntEnum):
     """So are model and noise after the fit; if not, a rate is too high for these features."""
     UNROLL = 2
     """So are value and gradient; if not, the model under this policy explodes over the horizon."""
+
+
+class Actor(Protocol):
+    """What acts: a policy, or a policy and the model that carries out its wishes."""
+
+    def action(self, parameters: Parameters, observation: Tensor, /) -> Tensor:
+        """The action ``[*batch, m]`` for observations ``[*batch, n]``, both scaled."""
+        ...
+
+
+class AnyLearner(Protocol):
+    """What a loop needs of a population of learners, whatever they learn."""
+
+    @property
+    def policy(self) -> Actor:
+        """What acts."""
+        ...
+
+    @property
+    def needs_autograd(self) -> bool:
+        """Whether torch's differentiation must be at work."""
+        ...
+
+    def initial(self, seeds: Sequence[int]) -> LearnerState:
+        """Learners that know nothing yet, one per seed."""
+        ...
+
+    def acting(self, state: LearnerState) -> Parameters:
+        """What ``policy.action`` needs of a state."""
+        ...
+
+    def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:
+        """The action with exploration, ``[B, m]``, scaled; normal ``[B, m]`` standard normal."""
+        ...
+
+    def step(self, state: LearnerState, transition: Transition) -> tuple[LearnerState, Metrics]:
+        """What is learned from one transition of each learner."""
+        ...
 
 
 def population(template: torch.nn.Module, size: int) -> Parameters:
@@ -94,6 +133,15 @@ class Learner:
             tick=torch.zeros(size, dtype=torch.int64, device=device),
             sound_ticks=torch.zeros(size, dtype=torch.int64, device=device),
         )
+
+    @property
+    def needs_autograd(self) -> bool:
+        """Whether torch's differentiation must be at work."""
+        return self.value.needs_autograd
+
+    def acting(self, state: LearnerState) -> Parameters:
+        """What ``policy.action`` needs of a state."""
+        return state.policy
 
     def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:
         """pi(s) plus exploration, ``[B, m]`` in scaled units; normal ``[B, m]`` standard normal."""

@@ -8,9 +8,9 @@ import math
 import statistics
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from rich.console import Console
 from rich.live import Live
@@ -45,7 +45,8 @@ def median(values: Sequence[float]) -> float:
 
 
 class CsvSink:
-    """``metrics.csv``: a row per learner and snapshot; ``episodes.csv``: a row per episode."""
+    """``metrics.csv``: a row per learner and snapshot; ``episodes.csv``: a row per episode, with
+    those of the sim's own measures that are asked for."""
 
     METRICS = (
         "active",
@@ -59,13 +60,16 @@ class CsvSink:
         "policy_norm",
     )
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, measures: Sequence[str] = ()) -> None:
+        self._measures = list(measures)
         self._metrics_file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
         self._episodes_file = (folder / "episodes.csv").open("w", newline="", encoding="utf-8")
         self._metrics = csv.writer(self._metrics_file)
         self._episodes = csv.writer(self._episodes_file)
         self._metrics.writerow(("seconds", "seed", *self.METRICS, "value_error_estimate"))
-        self._episodes.writerow(("seed", "episode", "start_s", "seconds", "outcome"))
+        self._episodes.writerow(
+            ("seed", "episode", "start_s", "seconds", "outcome", *self._measures)
+        )
 
     def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
         """Append the rows."""
@@ -81,6 +85,7 @@ class CsvSink:
                     f"{e.start:.6g}",
                     f"{e.seconds:.6g}",
                     e.outcome.name.lower(),
+                    *(_plain(e.measures[name]) for name in self._measures),
                 )
             )
         self._metrics_file.flush()
@@ -130,9 +135,18 @@ class TensorBoardSink:
                 "episodes/seconds_median": median(lengths),
                 "episodes/seconds_max": max(lengths),
             }
+            for measure in episodes[0].measures:
+                scalars[f"episodes/{measure}"] = median([e.measures[measure] for e in episodes])
         for name, value in scalars.items():
             if math.isfinite(value):
                 self.writer.add_scalar(name, value, step)
+
+    def spreads(self, group: str, figures: Mapping[str, Any], step: int) -> None:
+        """Median and extremes over the seeds of each figure (``edtorch.report.statistics``)."""
+        for name, spread in figures.items():
+            for part in ("median", "min", "max"):
+                if spread[part] is not None:
+                    self.writer.add_scalar(f"{group}/{name}_{part}", spread[part], step)
 
     def hparams(self, settings: dict[str, str | float | bool], results: dict[str, float]) -> None:
         """The settings beside the results, in this run's own event file."""

@@ -27,6 +27,7 @@ from torch.utils import _pytree as pytree
 
 from edtorch.compilation import CannotCompile, check_compiler
 from edtorch.innermost import Turned, first, stored
+from edtorch.learner import Learner
 from edtorch.streams import Draw
 from edtorch.tick import Population, Tick
 
@@ -183,6 +184,9 @@ def compile_tick(tick: Tick, tile: Population, draw: Draw) -> Program:
     the tick (int64 ``[]``), and returns the new leaves, the outcomes ``[B]`` and the worlds
     ``[k, B]`` before new episodes began.  draw: of any tick, for its shapes.  Raises CannotCompile.
     """
+    learner = tick.learner
+    if not isinstance(learner, Learner):
+        raise CannotCompile(f"{type(learner).__name__} asks tensors for numbers")
     leaves, spec = pytree.tree_flatten(tile)
     clock = torch.ones((), dtype=torch.int64, device=leaves[0].device)
     arguments = (
@@ -191,6 +195,5 @@ def compile_tick(tick: Tick, tile: Population, draw: Draw) -> Program:
         stored(draw.normal),
         clock,
     )
-    learner = tick.learner
     parts = (tick.world.sim, learner.model.features, learner.policy, learner.fit, learner.step_rule)
     return compile_graph(_Graph(tick, spec), tick, parts, arguments, leaves[0].shape[0])

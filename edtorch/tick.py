@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.learner import Check, Learner
+from edtorch.learner import AnyLearner, Check
 from edtorch.streams import Draw
 from edtorch.types import LearnerState, Metrics, Transition, replace, select, tree_dataclass
 from edtorch.world import World
@@ -98,7 +98,7 @@ class Tick:
     most_episodes, most_rides: after which a learner is done, None for no limit.
     """
 
-    learner: Learner
+    learner: AnyLearner
     world: World
     most_episodes: int | None = None
     most_rides: int | None = None
@@ -131,7 +131,9 @@ class Tick:
         state = self.world.step(worlds.world, action, draw.uniform)
         observation = self.world.observe(state)
         seconds = self.world.seconds
-        transition = Transition(worlds.observation, action, observation, seconds, active)
+        applied = self.world.applied(state, action)
+        valid = self.world.stepped(state, active)
+        transition = Transition(worlds.observation, applied, observation, seconds, valid)
         learners, metrics = self.learner.step(here.learners, transition)
         state = select(active, state, worlds.world)
         observation = select(active, observation, worlds.observation)

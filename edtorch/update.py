@@ -69,6 +69,38 @@ class SaturatedStep:
 
 
 @dataclass(frozen=True)
+class DecayingStep:
+    """``SaturatedStep`` with alpha / (1 + t / decay) for alpha, t being the units climbed so far.
+
+    A policy whose steps do not shrink wanders about its optimum, and its gains may grow for ever.
+    The sum of the steps is still unbounded, so that any optimum stays within reach.
+    decay: units (seconds, where rates are per second) after which the step is halved.
+    """
+
+    alpha: float
+    beta: float
+    decay: float
+
+    def __post_init__(self) -> None:
+        SaturatedStep(self.alpha, self.beta)
+        if not self.decay > 0:
+            raise ValueError(f"decay={self.decay}: expected a number > 0")
+
+    def initial(self, policy: Parameters) -> Parameters:
+        """The units climbed, ``[B]``."""
+        first = next(iter(policy.values()))
+        return {"climbed": first.new_zeros(first.shape[0])}
+
+    def __call__(
+        self, policy: Parameters, gradient: Parameters, memory: Parameters, unit: Tensor
+    ) -> tuple[Parameters, Parameters]:
+        """One saturated step, shorter than the one before."""
+        alpha = self.alpha / (1 + memory["climbed"] / self.decay)
+        rate = alpha * unit / (self.beta + gradient_norm(gradient))
+        return _ascend(policy, gradient, rate), {"climbed": memory["climbed"] + unit}
+
+
+@dataclass(frozen=True)
 class PlainStep:
     """theta += alpha unit g (Fig. 1, step 7)."""
 

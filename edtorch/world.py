@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sims.base import Outcome, Sim
+from sims.base import Actuated, Fallible, Outcome, Sim
 
 
 class World:
@@ -69,6 +69,22 @@ class World:
         physical = (action * self._action_scale).to(torch.float64)
         disturbance = uniform[..., : self.spec.disturbance_dim].to(torch.float64)
         return self.sim.step(state, physical, disturbance)
+
+    def scaled(self, action: Tensor) -> Tensor:
+        """An action in physical units ``[B, m]``, scaled."""
+        return action.to(self.dtype) / self._action_scale
+
+    def applied(self, state: Tensor, action: Tensor) -> Tensor:
+        """What the step to ``state`` applied, scaled; ``action`` if the sim cannot say."""
+        if not isinstance(self.sim, Actuated):
+            return action
+        return self.scaled(self.sim.applied(state))
+
+    def stepped(self, state: Tensor, active: Tensor) -> Tensor:
+        """Whether the step to ``state`` of those that are ``active`` ``[B]`` really was one."""
+        if not isinstance(self.sim, Fallible):
+            return active
+        return active & self.sim.stepped(state)
 
     def outcome(self, state: Tensor, ticks: Tensor) -> Tensor:
         """``Outcome`` of each episode, ``[B]``, its time limit included; ticks ``[B]`` so far."""

@@ -7,13 +7,16 @@ episode, whatever the batch.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from sims.kinematics import Chain
 
 
 class Outcome(IntEnum):
@@ -23,7 +26,7 @@ class Outcome(IntEnum):
     FAILED = 1
     """The bicycle fell, the arm hit itself..."""
     SUCCEEDED = 2
-    """The goal was reached."""
+    """The goal was reached; a sim whose goal is to be held decides so at the time limit."""
     TIMED_OUT = 3
     """The time limit came first."""
 
@@ -34,7 +37,8 @@ class Quantity:
 
     ``scale`` divides it on its way to a learner, which sees numbers of order one; ``period`` is
     that of an angle that wraps (2 pi), 0 for anything else; ``low`` and ``high`` bound it (an
-    action is clipped to them where ``Spec.clip_action`` says so).  All in ``unit``.
+    action is clipped to them where ``Spec.clip_action`` says so).  All in ``unit``.  ``rate_of``
+    names the component whose time derivative this one is, if one is.
     """
 
     name: str
@@ -43,6 +47,7 @@ class Quantity:
     low: float = float("-inf")
     high: float = float("inf")
     period: float = 0.0
+    rate_of: str = ""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,9 @@ class Spec:
     ``disturbance_dim`` and ``reset_dim``: how many uniform numbers a step and a restart consume;
     ``clip_action``: whether actions are clipped to their bounds before they act;
     ``headline``: name of the state component that a figure of one episode should show.
+
+    A family of tasks has a goal among its state components, constant during an episode: ``goal``
+    names them, and ``tracked``, of the same length, the components that they are wanted values of.
     """
 
     name: str
@@ -65,6 +73,8 @@ class Spec:
     reset_dim: int
     clip_action: bool
     headline: str
+    goal: tuple[str, ...] = ()
+    tracked: tuple[str, ...] = ()
 
 
 def spec_index(spec: Spec, names: Iterable[str]) -> list[int]:
@@ -120,11 +130,58 @@ class Sim(Protocol):
 
     def outcome(self, state: Tensor) -> Tensor:
         """``Outcome`` of each episode as int64 ``[*batch]``, the time limit apart (whoever runs the
-        episode counts its seconds)."""
+        episode counts its seconds, unless the sim does)."""
         ...
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Figures of finished episodes, each ``[*batch]``, by name with the unit as suffix."""
+        ...
+
+
+@runtime_checkable
+class Actuated(Protocol):
+    """A sim that knows what its actuators did: where the disturbance is on the action, a learner
+    that fits actions to accelerations wants the action that acted, not the one it asked for."""
+
+    def applied(self, state: Tensor) -> Tensor:
+        """The action ``[*batch, m]``, physical units, that the step to ``state`` really applied."""
+        ...
+
+
+@runtime_checkable
+class Fallible(Protocol):
+    """A sim whose steps may fail to happen: nothing is to be learned from such a one."""
+
+    def stepped(self, state: Tensor) -> Tensor:
+        """Whether the step to ``state`` was one, bool ``[*batch]``."""
+        ...
+
+
+@runtime_checkable
+class Invertible(Protocol):
+    """A sim that offers its true inverse dynamics, for yardsticks only."""
+
+    def inverse_dynamics(self, state: Tensor, acceleration: Tensor) -> Tensor:
+        """The action ``[*batch, m]`` that gives the components ``spec.tracked`` the second
+        derivatives ``acceleration`` ``[*batch, len(tracked)]`` in ``state``, not clipped."""
+        ...
+
+
+@runtime_checkable
+class Measured(Protocol):
+    """A sim that has controllers of its own to measure learners against."""
+
+    def yardsticks(self) -> Mapping[str, Callable[[Tensor], Tensor]]:
+        """By name: full states ``[*batch, k]`` to actions ``[*batch, m]``, physical units."""
+        ...
+
+
+@runtime_checkable
+class Jointed(Protocol):
+    """A sim whose components ``spec.tracked`` are the joints of a chain: an arm."""
+
+    def chain(self) -> Chain:
+        """The chain, for forward and inverse kinematics."""
         ...
 
 

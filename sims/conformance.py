@@ -9,7 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from sims.base import Outcome, Sim, Spec
+from sims.base import Outcome, Sim, Spec, spec_index
 
 Shape = tuple[int, ...]
 
@@ -26,7 +26,7 @@ def check(
     Checked, with random actions, in float64: the spec; shapes for every batch of ``batches``;
     finite states; the same uniforms giving the same digits; rows of a batch equal, bit for bit, to
     batches of one; arguments left as they were; restarts of some rows only; outcomes; measures;
-    observations within their periods and bounds.
+    observations within their periods and bounds; goals constant during an episode.
 
     ``sim``: a sim, or a function that makes one, for sims with a memory of their own.
     """
@@ -64,6 +64,15 @@ def _check_spec(spec: Spec) -> None:
     _expect(spec.disturbance_dim >= 0, spec, f"spec.disturbance_dim: {spec.disturbance_dim}")
     known = [quantity.name for quantity in spec.state]
     _expect(spec.headline in known, spec, f"spec.headline: {spec.headline!r} is not in {known}")
+    for which in ("goal", "tracked"):
+        for name in getattr(spec, which):
+            _expect(name in known, spec, f"spec.{which}: {name!r} is not in {known}")
+    pairs = f"{spec.goal} and {spec.tracked}"
+    _expect(len(spec.goal) == len(spec.tracked), spec, f"spec.goal, spec.tracked: {pairs}")
+    _expect(not set(spec.goal) & set(spec.tracked), spec, f"spec.goal, spec.tracked: {pairs}")
+    for quantity in spec.state:
+        of = quantity.rate_of
+        _expect(of in ("", *known), spec, f"spec.state.{quantity.name}: rate_of {of!r}")
 
 
 class _Draws:
@@ -130,6 +139,10 @@ def _check_batch(
         _expect(outcome.dtype == torch.int64, spec, f"{where}: outcome is {outcome.dtype}")
         known = all(int(value) in list(Outcome) for value in outcome.reshape(-1))
         _expect(known, spec, f"{where}: outcome {outcome.tolist()} is none of Outcome")
+    goal = spec_index(spec, spec.goal)
+    for k, state in enumerate(states):
+        same = torch.equal(sim.observe(state)[..., goal], sim.observe(states[0])[..., goal])
+        _expect(same, spec, f"batch {batch}, step {k}: the goal has moved")
     running = bool((sim.outcome(states[0]) == int(Outcome.RUNNING)).all())
     _expect(running, spec, f"batch {batch}: a start that is not RUNNING")
 

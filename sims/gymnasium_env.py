@@ -1,6 +1,7 @@
 """Any sim as a Gymnasium environment, and the bicycle among Gymnasium's own.
 
-``import sims`` (or ``edtorch``) registers ``edtorch/Bicycle-v0``::
+``import sims`` (or ``edtorch``) registers ``edtorch/Bicycle-v0`` (and ``edtorch/Cardea-v0``, see
+``sims.cardea_env``)::
 
     import gymnasium
     import edtorch
@@ -41,8 +42,9 @@ class SimEnv(gymnasium.Env[Array, Array]):
 
     Observation and action spaces are boxes with the bounds of ``sim.spec`` (an angle's box is its
     period around 0).  An episode terminates when its outcome is no longer RUNNING, and is truncated
-    at the sim's time limit.  The info of its last step has ``outcome`` (FAILED, SUCCEEDED or
-    TIMED_OUT) and ``measures`` (dict of floats).  Same seed, same actions: same digits.
+    at the sim's time limit, whether or not the sim then counts it as a success.  The info of its
+    last step has ``outcome`` (FAILED, SUCCEEDED or TIMED_OUT) and ``measures`` (dict of floats).
+    Same seed, same actions: same digits.
 
     Arguments: ``sim``; ``reward``: function of (observation, action as applied, next observation);
     ``fail_penalty``: taken off the reward of a step that ends in failure; ``render_mode``: None or
@@ -97,6 +99,8 @@ class SimEnv(gymnasium.Env[Array, Array]):
         sim, spec = self.sim, self.sim.spec
         with torch.inference_mode():
             taken = torch.as_tensor(np.asarray(action), dtype=torch.float64).reshape(1, -1)
+            if not bool(taken.isfinite().all()):
+                raise ValueError(f"action={action}: expected finite numbers")
             if spec.clip_action:
                 taken = taken.clamp(self._low, self._high)
             before = self._observation
@@ -105,17 +109,17 @@ class SimEnv(gymnasium.Env[Array, Array]):
             self._steps += 1
             outcome = Outcome(int(sim.outcome(self._state)))
             seconds = self._steps * spec.dt
-            terminated = outcome is not Outcome.RUNNING and outcome is not Outcome.TIMED_OUT
             # Half a step of tolerance: the product is rounded.
-            truncated = not terminated and (
-                outcome is Outcome.TIMED_OUT or seconds > spec.time_limit - spec.dt / 2
-            )
+            late = seconds > spec.time_limit - spec.dt / 2
+            truncated = outcome is Outcome.TIMED_OUT or (late and outcome is not Outcome.FAILED)
+            terminated = not truncated and outcome is not Outcome.RUNNING
             info: dict[str, Any] = {}
             if terminated or truncated:
                 self._ended = True
                 clock = torch.tensor([seconds], dtype=torch.float64)
                 measures = sim.measures(self._start, self._state, clock)
-                info["outcome"] = outcome.name if terminated else Outcome.TIMED_OUT.name
+                ended = Outcome.TIMED_OUT if outcome is Outcome.RUNNING else outcome
+                info["outcome"] = ended.name
                 info["measures"] = {name: float(value) for name, value in measures.items()}
         if self.render_mode is not None:
             self._remember()

@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from edtorch.learner import Learner
 from edtorch.program import cache_folder, program_name
 from edtorch.records import Budget
 from edtorch.tick import Tick
@@ -29,6 +30,7 @@ def test_a_program_is_named_by_all_that_it_depends_on() -> None:
     assert key(tick) == key(same)
     longer = training_and_tick([1], Budget(seconds=99.0))[1]
     assert key(tick) == key(longer)
+    assert isinstance(tick.learner, Learner)
     others = [
         training_and_tick([1], budget, rich=True)[1],
         replace(tick, most_rides=1),

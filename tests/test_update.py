@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from edtorch.update import PlainStep, SaturatedStep, gradient_norm
+from edtorch.update import DecayingStep, PlainStep, SaturatedStep, gradient_norm
 
 UNIT = torch.tensor(0.01, dtype=torch.float64)
 THETA = {"weight": torch.zeros(2, 1, 2).double(), "bias": torch.zeros(2, 1).double()}
@@ -36,6 +36,16 @@ def test_saturated_step_is_bounded_and_turns_into_the_plain_one() -> None:
     assert torch.allclose(saturated["weight"], plain["weight"], rtol=1e-6)
 
 
+def test_decaying_step_is_the_saturated_one_at_first_and_half_of_it_later() -> None:
+    rule = DecayingStep(2.0, 1.0, decay=0.03)
+    saturated, _ = SaturatedStep(2.0, 1.0)(THETA, GRADIENT, {}, UNIT)
+    memory, steps = rule.initial(THETA), []
+    for _ in range(4):
+        moved, memory = rule(THETA, GRADIENT, memory, UNIT)
+        steps.append(float(moved["bias"][0, 0] / saturated["bias"][0, 0]))
+    assert steps == pytest.approx([1, 3 / 4, 3 / 5, 3 / 6])
+
+
 def test_plain_step_climbs_a_hill() -> None:
     theta = {"weight": torch.tensor([[5.0]]).double()}
     for _ in range(300):
@@ -48,6 +58,8 @@ def test_plain_step_climbs_a_hill() -> None:
     [
         (lambda: SaturatedStep(-1.0, 1.0), "alpha=-1.0"),
         (lambda: SaturatedStep(1.0, 0.0), "beta=0.0"),
+        (lambda: DecayingStep(1.0, 1.0, 0.0), "decay=0.0"),
+        (lambda: DecayingStep(-1.0, 1.0, 1.0), "alpha=-1.0"),
         (lambda: PlainStep(float("nan")), "alpha=nan"),
     ],
 )

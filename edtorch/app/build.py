@@ -5,21 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
-from edtorch.app.compute import Compute, check_memory, plan
+from edtorch.app.compute import Compute, check_memory, plan, plan_inverse, uncompiled
 from edtorch.app.construct import construct
-from edtorch.app.errors import ConfigError, under
+from edtorch.app.errors import ConfigError, under, unknown_key
+from edtorch.app.inverse import build_controller, build_inverse_learner, has_inverse
 from edtorch.checkpoint import PolicyCard
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
 from edtorch.fit import Fit
-from edtorch.learner import Learner
+from edtorch.inverse.controller import InverseController
+from edtorch.inverse.forward import distance_cost, tracking
+from edtorch.learner import AnyLearner, Learner
 from edtorch.models import DerivativeModel, Model
 from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
@@ -28,7 +31,7 @@ from edtorch.rewards import QuadraticReward
 from edtorch.unroll import Horizon
 from edtorch.value_error import ValueErrorIndicator
 from edtorch.world import World
-from sims.base import Quantity, Sim
+from sims.base import Quantity, Sim, Spec
 
 FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
     "identity": Identity,
@@ -36,9 +39,11 @@ FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
     "pairwise": Pairwise,
     "trigonometric": Trigonometric,
 }
+FeaturedActor = LinearPolicy | InverseController
+Shapes = dict[str, tuple[int, ...]]
 
 
-def build_features(key: str, config: Any, inputs: int, seed: int) -> FeatureMap:
+def build_features(key: str, config: Any, inputs: int, spec: Spec, seed: int) -> FeatureMap:
     """A feature map from its name, or from a ``_target_`` with its arguments."""
     if not isinstance(config, DictConfig):
         if config not in FEATURES:
@@ -48,7 +53,9 @@ def build_features(key: str, config: Any, inputs: int, seed: int) -> FeatureMap:
             )
         return FEATURES[config](inputs)
     generator = torch.Generator().manual_seed(seed)
-    more = {"generator": generator} | ({} if "inputs" in config else {"inputs": inputs})
+    more = {"generator": generator, "spec": spec} | (
+        {} if "inputs" in config else {"inputs": inputs}
+    )
     features = construct(key, config, "forward", **more)
     taken = getattr(features, "inputs", None)
     if taken != inputs:
@@ -60,17 +67,30 @@ def build_features(key: str, config: Any, inputs: int, seed: int) -> FeatureMap:
     return features
 
 
-def _features_of(group: str, config: Any, inputs: int, seed: int) -> tuple[FeatureMap, DictConfig]:
+def _features_of(
+    group: str, config: Any, inputs: int, spec: Spec, seed: int
+) -> tuple[FeatureMap, DictConfig]:
     """The feature map of a model or policy, and the rest of its node."""
     if not isinstance(config, DictConfig) or "features" not in config:
         raise ConfigError(f"{group}={config}: expected a mapping with _target_ and features")
-    features = build_features(f"{group}.features", config.features, inputs, seed)
+    features = build_features(f"{group}.features", config.features, inputs, spec, seed)
     return features, OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])
 
 
 def build_sim(config: Any) -> Sim:
     """The domain."""
     return construct("domain", config, "initial", "restart", "step", "observe", "outcome")
+
+
+def changed_domain(domain: Any, changes: Any, key: str) -> DictConfig:
+    """The domain's node with the changes asked for under ``key``; unknown names are refused."""
+    if not isinstance(domain, DictConfig):
+        raise ConfigError(f"domain={domain}: expected a mapping with a _target_")
+    known = sorted(str(k) for k in domain if k != "_target_")
+    for name, value in changes.items():
+        if name not in domain:
+            raise ConfigError(unknown_key(f"{key}.{name}={value}", f"{key}.{name}", known))
+    return cast(DictConfig, OmegaConf.merge(domain, changes))
 
 
 def _weights(key: str, config: Mapping[str, float], quantities: tuple[Quantity, ...]) -> Tensor:
@@ -87,16 +107,25 @@ def _weights(key: str, config: Mapping[str, float], quantities: tuple[Quantity, 
     )
 
 
+def _distance(weight: float, spec: Spec) -> Tensor:
+    """Cost of the squared distance of the tracked components from their goal, scaled units."""
+    if weight > 0 and not spec.goal:
+        raise ConfigError(f"reward.goal={weight}: expected a domain with a goal, not {spec.name}")
+    return weight * distance_cost(spec)
+
+
 def build_reward(
     config: Any, sim: Sim, dtype: torch.dtype, device: torch.device | None = None
 ) -> QuadraticReward:
     """The shaping reward, in scaled units."""
-    if not any(weight > 0 for weight in config.state.values()):
+    at_least("reward.goal", config.goal, 0)
+    if not (config.goal > 0 or any(weight > 0 for weight in config.state.values())):
         names = ", ".join(q.name for q in sim.spec.state)
         raise ConfigError(
             f"reward.state={dict(config.state)}: expected a weight > 0 for one of {names}"
         )
     state = _weights("reward.state", config.state, sim.spec.state)
+    state = state + _distance(config.goal, sim.spec)
     action = _weights("reward.action", config.action, sim.spec.action)
     return QuadraticReward(state.to(device, dtype), action.to(device, dtype))
 
@@ -104,7 +133,7 @@ def build_reward(
 def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> LinearPolicy:
     """The policy, as a template for one learner."""
     states, actions = len(sim.spec.state), len(sim.spec.action)
-    features, rest = _features_of("policy", config, states, seed)
+    features, rest = _features_of("policy", config, states, sim.spec, seed)
     return construct(
         "policy",
         rest,
@@ -118,7 +147,7 @@ def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> Linear
 
 def _build_model(config: Any, world: World, dtype: torch.dtype, seed: int) -> Model:
     states, actions = len(world.spec.state), len(world.spec.action)
-    features, rest = _features_of("model", config, states + actions, seed)
+    features, rest = _features_of("model", config, states + actions, world.spec, seed)
     return construct(
         "model",
         rest,
@@ -141,7 +170,21 @@ def _build_noise(config: Any, fit: Fit, model: Model, stretch: float) -> Noise:
     return noise
 
 
-def policy_card(sim: Sim, policy: LinearPolicy, seeds: list[int]) -> PolicyCard:
+def build_actor(config: Any, sim: Sim, dtype: torch.dtype) -> tuple[FeaturedActor, Shapes]:
+    """What acts, for one learner, and the shapes of its parameters."""
+    if has_inverse(config):
+        controller = build_controller(config.inverse, sim)
+        n = controller.policy.layout.joints
+        shapes = {
+            "weight": (n, controller.policy.outputs),
+            "inverse": (n, controller.features.outputs),
+        }
+        return controller, shapes
+    policy = build_policy(config.policy, sim, dtype, config.seed)
+    return policy, {name: tuple(p.shape) for name, p in policy.named_parameters()}
+
+
+def policy_card(sim: Sim, policy: FeaturedActor, seeds: list[int]) -> PolicyCard:
     """What a policy of this configuration is made for."""
     spec = sim.spec
     return PolicyCard(
@@ -168,54 +211,17 @@ def _build_budget(config: Any) -> Budget:
 
 
 @dataclass(frozen=True)
-class Setup:
-    """Everything that a training run is made of.
-
-    path: how value and gradient are found, in words; compiled: the same learner as a compiler wants
-    it, None if it is not to be compiled.
-    """
+class _Forward:
+    """A learner with a forward model; path, indicator, compiled: as in ``Setup``."""
 
     learner: Learner
-    world: World
-    seeds: list[int]
-    budget: Budget
-    card: PolicyCard
     path: str
     indicator: ValueErrorIndicator | None
-    compute: Compute
     compiled: Learner | None
 
 
-def build(config: DictConfig) -> Setup:
-    """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
-    check_keys(config)
-    check_numbers(config)
-    check_seeds(config)
-    at_least("eval.episodes", config.eval.episodes, 0)
-    at_least("compute.threads", config.compute.threads, 1)
-    at_least("log.every", config.log.every, 1)
-    at_least("log.checkpoint", config.log.checkpoint, config.log.every)
-    at_least("compute.compile_after", config.compute.compile_after, 0)
-    budget = _build_budget(config.train)
-    sim = build_sim(config.domain)
-    compute = plan(config.compute, budget, World(sim), config.seeds)
-    setup = _assemble(config, sim, budget, compute)
-    if compute.compiled and setup.compiled is None:
-        if compute.required:
-            raise ConfigError(
-                "compute.compile=on: expected a closed form to compile, but this run takes the "
-                f"{setup.path}"
-            )
-        compute = replace(compute, compiled=False)
-        if config.compute.precision == "auto":
-            compute = replace(compute, dtype=torch.float64)
-        setup = _assemble(config, sim, budget, compute)
-    return setup
-
-
-def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) -> Setup:
-    dtype, device = compute.dtype, compute.device
-    world = World(sim, dtype, device)
+def _build_forward(config: DictConfig, world: World, compute: Compute) -> _Forward:
+    sim, dtype, device = world.sim, compute.dtype, compute.device
     model = _build_model(config.model, world, dtype, config.seed).to(device)
     policy = build_policy(config.policy, sim, dtype, config.seed).to(device)
     reward = build_reward(config.reward, sim, dtype, device)
@@ -268,21 +274,100 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
         )
     except ValueError as error:
         raise ConfigError(f"unroll.path={config.unroll.path}: {error}") from error
+    path, reason, compilable = choice.path, choice.reason, choice.compiled
+    tracked = tracking(model, policy, reward, transform, horizon)
+    if tracked is not None and config.unroll.path == "auto":
+        path, reason, compilable = tracked, "goal-tracking loop, its adjoint written out", None
     with under("noise"):
         learner = Learner(
             model=model,
             policy=policy,
             fit=fit,
             noise=noise,
-            value=choice.path,
+            value=path,
             step_rule=construct("step", config.step, "initial"),
             exploration=config.noise.exploration,
         )
     check_memory(learner, world, config.seeds)
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
-    seeds = [config.seed + k for k in range(config.seeds)]
-    card = policy_card(sim, policy, seeds)
     compiled = None
-    if compute.compiled and choice.compiled is not None:
-        compiled = replace(learner, value=choice.compiled)
-    return Setup(learner, world, seeds, budget, card, choice.reason, indicator, compute, compiled)
+    if compute.compiled and compilable is not None:
+        compiled = replace(learner, value=compilable)
+    return _Forward(learner, reason, indicator, compiled)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything that a training run is made of.
+
+    calm: a new world to evaluate in; path: how value and gradient are found, in words; compiled:
+    the same learner as a compiler wants it, None if it is not to be compiled.
+    """
+
+    learner: AnyLearner
+    world: World
+    calm: Callable[[], World]
+    seeds: list[int]
+    budget: Budget
+    card: PolicyCard
+    path: str
+    indicator: ValueErrorIndicator | None
+    compute: Compute
+    compiled: Learner | None
+
+
+def _check(config: DictConfig) -> None:
+    """Refuse keys and numbers that are wrong whatever is built of them."""
+    check_keys(config)
+    check_numbers(config)
+    check_seeds(config)
+    at_least("eval.episodes", config.eval.episodes, 0)
+    for place, minutes in enumerate(config.eval.minutes):
+        if not minutes > 0:
+            raise ConfigError(f"eval.minutes[{place}]={minutes}: expected a number > 0")
+    at_least("compute.threads", config.compute.threads, 1)
+    at_least("log.every", config.log.every, 1)
+    at_least("log.checkpoint", config.log.checkpoint, config.log.every)
+    at_least("compute.compile_after", config.compute.compile_after, 0)
+
+
+def build(config: DictConfig) -> Setup:
+    """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
+    _check(config)
+    budget = _build_budget(config.train)
+    sim = build_sim(config.domain)
+    if has_inverse(config):
+        return _assemble(config, sim, budget, plan_inverse(config.compute, budget, World(sim)))
+    compute = plan(config.compute, budget, World(sim), config.seeds)
+    setup = _assemble(config, sim, budget, compute)
+    if compute.compiled and setup.compiled is None:
+        if compute.required:
+            raise ConfigError(
+                "compute.compile=on: expected a closed form to compile, but this run takes the "
+                f"{setup.path}"
+            )
+        setup = _assemble(config, sim, budget, uncompiled(compute, config.compute))
+    return setup
+
+
+def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) -> Setup:
+    world = World(sim, compute.dtype, compute.device)
+    evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
+    if config.eval.domain:
+        build_sim(evaluated)
+    indicator = compiled = None
+    if has_inverse(config):
+        learner = build_inverse_learner(config, sim, compute.dtype)
+        path = "inverse policy, its adjoint written out"
+    else:
+        forward = _build_forward(config, world, compute)
+        learner, path = forward.learner, forward.path
+        indicator, compiled = forward.indicator, forward.compiled
+    # Not before the population is known to fit in memory.
+    seeds = list(range(config.seed, config.seed + config.seeds))
+    card = policy_card(sim, learner.policy, seeds)
+
+    def calm() -> World:
+        return World(build_sim(evaluated), compute.dtype, compute.device)
+
+    return Setup(learner, world, calm, seeds, budget, card, path, indicator, compute, compiled)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import torch
@@ -97,6 +97,24 @@ def plan(config: Any, budget: Budget, world: World, learners: int) -> Compute:
     after = config.compile_after if learners <= LARGEST_UNCOMPILED else 0
     dtype = torch.float32 if single else torch.float64
     return Compute(dtype, _device(config.device), compiled, required, after)
+
+
+def uncompiled(compute: Compute, config: Any) -> Compute:
+    """The same without compiling, and in the precision that ``auto`` then stands for."""
+    dtype = torch.float64 if config.precision == "auto" else compute.dtype
+    return replace(compute, dtype=dtype, compiled=False)
+
+
+def plan_inverse(config: Any, budget: Budget, world: World) -> Compute:
+    """``plan`` for learners of inverse models, which are never compiled."""
+    check_choices(config)
+    if config.compile == "on":
+        raise ConfigError(
+            "compute.compile=on: expected auto or off with an inverse model, which is not compiled"
+        )
+    if config.device != "cpu":
+        raise ConfigError(f"compute.device={config.device}: expected cpu with an inverse model")
+    return uncompiled(plan(config, budget, world, 1), config)
 
 
 def needed_bytes(learner: Learner, world: World, learners: int) -> int:

@@ -6,7 +6,7 @@ import sys
 import time
 from importlib.resources import files
 from pathlib import Path
-from typing import cast
+from typing import Any
 
 import hydra
 import torch
@@ -16,29 +16,17 @@ from rich.console import Console
 from rich.table import Table
 
 from edtorch.app import schemas
-from edtorch.app.build import build_policy, build_sim, policy_card
+from edtorch.app.build import build_actor, build_sim, changed_domain, policy_card
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
-from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing, unknown_key
-from edtorch.app.rundir import CONFIG, POLICY, command_line, json_text, load_config, versions
+from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
+from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
 from edtorch.app.signals import Stop
-from edtorch.checkpoint import FileProblem, load_policy, policy_dtype, write_text
-from edtorch.evaluation import evaluate
+from edtorch.checkpoint import load_policy, policy_dtype, write_text
+from edtorch.evaluation import evaluate, evaluate_yardstick
 from edtorch.records import Episode
-from edtorch.report.statistics import evaluation_figures
+from edtorch.report.statistics import evaluation_figures, goal_figures
 from edtorch.world import World
-
-
-def _domain(folder: Path, run_config: DictConfig, changes: DictConfig) -> DictConfig:
-    """The run's domain with the changes asked for; unknown keys are refused."""
-    domain = run_config.domain
-    if not isinstance(domain, DictConfig):
-        raise FileProblem(f"{folder / CONFIG}: domain={domain}: expected a mapping with a _target_")
-    known = sorted(str(key) for key in domain if key != "_target_")
-    for key, value in changes.items():
-        if key not in domain:
-            raise ConfigError(unknown_key(f"domain.{key}={value}", f"domain.{key}", known))
-    merged = OmegaConf.merge(domain, changes)
-    return cast(DictConfig, merged)
+from sims.base import Measured
 
 
 def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
@@ -66,6 +54,38 @@ def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
     return table
 
 
+def _goal_table(figures: dict[str, Any], yardsticks: dict[str, Any], seeds: list[int]) -> Table:
+    """Of a family of tasks: a row per seed and per yardstick, a column per figure."""
+    table = Table(
+        title="fresh episodes, no exploration", title_justify="left", box=SIMPLE, padding=(0, 1)
+    )
+    for label in ("seed", *(name.replace("_", " ") for name in figures)):
+        table.add_column(label, justify="right")
+    for row, seed in enumerate(seeds):
+        table.add_row(str(seed), *(_cell(spread["per_seed"][row]) for spread in figures.values()))
+    for name, own in yardsticks.items():
+        table.add_row(name.replace("_", " "), *(_cell(own[key]["median"]) for key in figures))
+    return table
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def _yardsticks(config: DictConfig, world: World, seeds: list[int]) -> dict[str, Any]:
+    """The figures of the sim's own controllers, by name, in the episodes of the first seed."""
+    if not config.yardsticks:
+        return {}
+    if not isinstance(world.sim, Measured):
+        raise ConfigError(
+            f"yardsticks=true: expected a domain with yardsticks; {world.spec.name} has none"
+        )
+    return {
+        name: goal_figures(evaluate_yardstick(control, world, seeds[:1], config.episodes))
+        for name, control in world.sim.yardsticks().items()
+    }
+
+
 def _task(config: DictConfig) -> float:
     with Stop().listening(), refusing(config.debug):
         return _evaluate(config)
@@ -87,16 +107,17 @@ def _evaluate(config: DictConfig) -> float:
             if config.policy is None
             else ConfigError(f"policy={path}: no such file")
         )
-    sim = build_sim(_domain(folder, run_config, config.domain))
+    sim = build_sim(changed_domain(run_config.domain, config.domain, "domain"))
     dtype = policy_dtype(path)
     world = World(sim, dtype)
-    policy = build_policy(run_config.policy, sim, dtype, run_config.seed)
+    policy, shapes = build_actor(run_config, sim, dtype)
     seeds = [run_config.seed + k for k in range(run_config.seeds)]
-    shapes = {name: tuple(p.shape) for name, p in policy.named_parameters()}
     parameters = load_policy(path, policy_card(sim, policy, seeds), shapes)
 
     began = time.monotonic()
+    yardsticks = _yardsticks(config, world, seeds)
     episodes = evaluate(policy, parameters, world, seeds, config.episodes)
+    reached = goal_figures(episodes) if world.spec.goal else {}
     result = {
         "run": str(folder),
         "policy": str(path),
@@ -104,6 +125,8 @@ def _evaluate(config: DictConfig) -> float:
         "domain": OmegaConf.to_container(config.domain),
         "seeds": seeds,
         **evaluation_figures(episodes),
+        **reached,
+        "yardsticks": yardsticks,
         "eval_s": time.monotonic() - began,
         "versions": versions(),
         "command": command_line(),
@@ -116,7 +139,8 @@ def _evaluate(config: DictConfig) -> float:
             f"run={folder}: expected a folder to write to ({error.strerror})"
         ) from error
     console = Console()
-    console.print(_table(episodes, seeds))
+    table = _goal_table(reached, yardsticks, seeds) if reached else _table(episodes, seeds)
+    console.print(table)
     console.print(f"written to {written}", soft_wrap=True)
     return float(result["goal_rate"]["median"])
 

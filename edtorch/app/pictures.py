@@ -6,13 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from edtorch.evaluation import evaluate
 from edtorch.interact import Training
 from edtorch.records import Episode
 from edtorch.report.animation import save_animation
 from edtorch.report.figures import Ride, learning_curve, save_figure
+from edtorch.report.reaching import reaching_curve
+from edtorch.world import World
 from sims.base import Pictured
 
 
@@ -55,6 +59,29 @@ def _headline(training: Training, shown: _Shown) -> Ride:
     seconds = shown.seconds - step * np.arange(len(values))[::-1]
     quantity = spec.state[index]
     return Ride(seconds, values, quantity.name, quantity.unit, shown.title, quantity.period)
+
+
+REACHES = 8
+"""Tasks that an animation of reaching shows, one after the other."""
+
+
+def draw_reaching(training: Training, calm: World, folder: Path, *, animate: bool) -> Figure:
+    """For a domain with a goal: write ``learning_curve.png``, ``.svg`` as the paper's Figure 3 and,
+    if the sim can draw itself, ``reach.webp``: the first policy at fresh tasks, in ``calm``."""
+    size = len(training.seeds)
+    name = training.world.spec.name
+    title = f"{name}: {size} learner{'s' if size > 1 else ''}, at the end of every episode"
+    figure = reaching_curve({name: (training.episodes, size)}, title)
+    save_figure(figure, folder, "learning_curve")
+    if animate and isinstance(calm.sim, Pictured):
+        learner, states = training.learner, list[Tensor]()
+        parameters = {k: p[:1] for k, p in learner.acting(training.learners).items()}
+        evaluate(learner.policy, parameters, calm, training.seeds[:1], REACHES, watch=states.append)
+        stride = max(1, round(0.1 / calm.dt))
+        # [T, REACHES, k]: one task after the other.
+        trail = torch.stack(states)[::stride].transpose(0, 1).flatten(0, 1)
+        save_animation(calm.sim, trail, folder / "reach.webp", slow=len(trail), fps=10)
+    return figure
 
 
 def draw(training: Training, folder: Path, *, animate: bool) -> Figure:

@@ -63,6 +63,26 @@ class BicycleConfig:
 
 
 @dataclass
+class CardeaConfig:
+    """An arm on a self-balancing base; see ``sims.cardea.Cardea``."""
+
+    _target_: str = "sims.cardea.Cardea"
+    dt: float = 0.02
+    physics_dt: float = 0.004
+    time_limit: float = 2.0
+    torque_noise: float = 0.02
+    start: list[float] | None = None
+    goal: list[float] | None = None
+    clearance: float = 0.03
+    max_tilt: float = 0.5
+    reached_error: float = 0.1
+    reached_speed: float = 0.2
+    workers: int = 0
+    state_scale: dict[str, float] = field(default_factory=dict)
+    action_scale: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
 class LinearSystemConfig:
     """A linear system with noise; see ``sims.linear.LinearSystem``."""
 
@@ -134,6 +154,50 @@ class BayesianFitConfig:
 
 
 @dataclass
+class RidgeConfig:
+    """``edtorch.ridge.Ridge``."""
+
+    _target_: str = MISSING
+    penalty: float = 0.01
+    every: int = 25
+    later: int = 100
+    settled: int = 3000
+
+
+@dataclass
+class NoInverseConfig:
+    """A forward model and a policy of actions."""
+
+    variant: str = "none"
+
+
+@dataclass
+class InverseConfig:
+    """variant: learned or kinematic; features: name of those of the inverse model, or a
+    ``_target_``; form, gain, limit: of the policy, see ``edtorch.inverse.policy.InversePolicy``;
+    every, recent: see ``edtorch.inverse.learner.InverseLearner``; trust: its ``Trust``."""
+
+    variant: str = MISSING
+    features: Any = "structured"
+    form: str = "error"
+    gain: float = 20.0
+    limit: float | None = 30.0
+    every: int = 5
+    recent: int = 10
+    trust_acceleration: float = 100.0
+    trust_speed: float = 10.0
+
+
+@dataclass
+class KinematicConfig(InverseConfig):
+    """Also length, damping and bent: see ``edtorch.inverse.hand.HandCoordinates``."""
+
+    length: float = 0.15
+    damping: float = 0.15
+    bent: float = 0.15
+
+
+@dataclass
 class PolicyConfig:
     """A policy linear in features; ``features`` as in the model."""
 
@@ -143,10 +207,12 @@ class PolicyConfig:
 
 @dataclass
 class RewardConfig:
-    """Minus a weighted sum of squares, physical units: weights by name of state and action."""
+    """Minus a weighted sum of squares, physical units: weights by name of state and action, and
+    that of the distance from the goal, in a domain that has one."""
 
     state: dict[str, float] = field(default_factory=dict)
     action: dict[str, float] = field(default_factory=dict)
+    goal: float = 0.0
 
 
 @dataclass
@@ -203,6 +269,13 @@ class SaturatedStepConfig:
 
 
 @dataclass
+class DecayingStepConfig(SaturatedStepConfig):
+    """``edtorch.update.DecayingStep``."""
+
+    decay: float = MISSING
+
+
+@dataclass
 class PlainStepConfig:
     """``edtorch.update.PlainStep``."""
 
@@ -242,9 +315,12 @@ class BudgetConfig:
 
 @dataclass
 class EvalConfig:
-    """episodes: fresh ones per seed after training; 0: none."""
+    """episodes: fresh ones per seed after training; 0: none; minutes: simulated ones after which
+    there are as many on the way; domain: settings of the domain that are others meanwhile."""
 
     episodes: int = 100
+    minutes: list[float] = field(default_factory=list)
+    domain: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -282,6 +358,7 @@ class TrainConfig:
     model: Any = MISSING
     fit: Any = MISSING
     policy: Any = MISSING
+    inverse: Any = None  # as in the runs of before there was such a group: none
     reward: RewardConfig = field(default_factory=RewardConfig)
     noise: Any = MISSING
     transform: Any = MISSING
@@ -302,13 +379,15 @@ class EvaluateConfig:
     """Everything ``edtorch-eval`` knows.
 
     run: folder of a run; policy: a file, by default the run's own; episodes: per seed; domain:
-    settings that replace the run's own.
+    settings that replace the run's own; yardsticks: whether to measure the domain's own controllers
+    in the same episodes.
     """
 
     run: str = MISSING
     policy: str | None = None
     episodes: int = 100
     domain: dict[str, Any] = field(default_factory=dict)
+    yardsticks: bool = False
     threads: int = 1
     debug: bool = False
 
@@ -319,6 +398,7 @@ SCALARS = frozenset(f.name for f in fields(TrainConfig) if f.type in ("int", "bo
 SCHEMAS: dict[str, dict[str, type]] = {
     "domain": {
         "bicycle_schema": BicycleConfig,
+        "cardea_schema": CardeaConfig,
         "linear_schema": LinearSystemConfig,
         "gymnasium_schema": GymnasiumConfig,
     },
@@ -328,6 +408,12 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "normalised_schema": NormalisedFitConfig,
         "least_squares_schema": LeastSquaresConfig,
         "bayesian_schema": BayesianFitConfig,
+        "ridge_schema": RidgeConfig,
+    },
+    "inverse": {
+        "none_schema": NoInverseConfig,
+        "learned_schema": InverseConfig,
+        "kinematic_schema": KinematicConfig,
     },
     "noise": {"noise_schema": NoiseConfig},
     "policy": {"policy_schema": PolicyConfig},
@@ -336,7 +422,11 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "gauss_hermite_schema": GaussHermiteConfig,
         "monte_carlo_schema": MonteCarloConfig,
     },
-    "step": {"saturated_schema": SaturatedStepConfig, "plain_schema": PlainStepConfig},
+    "step": {
+        "saturated_schema": SaturatedStepConfig,
+        "decaying_schema": DecayingStepConfig,
+        "plain_schema": PlainStepConfig,
+    },
     "rival": {"rival_schema": RivalConfig, "random_search_schema": RandomSearchConfig},
 }
 

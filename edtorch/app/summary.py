@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,10 +10,10 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.table import Table
 
+from edtorch.app.evaluations import Evaluation
 from edtorch.app.rundir import command_line, versions
 from edtorch.interact import Training
 from edtorch.learner import Check
-from edtorch.records import Episode
 from edtorch.report.statistics import evaluation_figures, learning_figures
 
 
@@ -45,13 +46,25 @@ def broken(training: Training) -> dict[int, tuple[str, int]]:
     return {row: (Check(places[row]).name.lower(), sound_ticks[row]) for row in rows}
 
 
-def summarise(training: Training, timing: Timing, evaluated: list[list[Episode]]) -> dict[str, Any]:
-    """The content of ``summary.json``."""
+def summarise(
+    training: Training, timing: Timing, evaluations: Sequence[Evaluation]
+) -> dict[str, Any]:
+    """The content of ``summary.json``; ``evaluations``: at least one, the last of the end."""
+    last = evaluations[-1]
+    has_goal = bool(training.world.spec.goal) and any(last.episodes)
+    reached = {}
+    if has_goal:
+        reached = {
+            "lost_episodes": sum(e.measures.get("lost", 0.0) > 0 for e in training.episodes),
+            "evaluations": [evaluation.as_json() for evaluation in evaluations],
+            "final": last.as_json(),
+        }
     lived = (training.learners.tick.to(torch.float64) * training.world.dt).tolist()
     return {
         "seeds": training.seeds,
         **learning_figures(training.episodes, training.seeds, lived),
-        **evaluation_figures(evaluated),
+        **evaluation_figures(last.episodes),
+        **reached,
         "simulated_seconds": lived,
         "ticks": timing.ticks,
         "ticks_per_cpu_s": timing.ticks_per_cpu_s,
@@ -92,6 +105,10 @@ def summary_table(summary: dict[str, Any], title: str) -> Table:
         spread = summary[key]
         if spread["median"] is not None:
             table.add_row(label, *(_number(spread[k], digits) for k in ("median", "min", "max")))
+    for key, spread in summary.get("final", {}).items():
+        if key != "minutes" and spread["median"] is not None:
+            label = f"evaluation: {key.replace('_', ' ')}"
+            table.add_row(label, *(_number(spread[k], 4) for k in ("median", "min", "max")))
     return table
 
 

@@ -21,10 +21,11 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from edtorch.app import schemas
-from edtorch.app.build import Setup, build, build_sim
+from edtorch.app.build import Setup, build
 from edtorch.app.errors import ConfigError, guarded, refusing
+from edtorch.app.evaluations import Evaluation, Evaluations
 from edtorch.app.folders import remove_empty
-from edtorch.app.pictures import draw
+from edtorch.app.pictures import draw, draw_reaching
 from edtorch.app.rival import build_search, is_rival, run_search
 from edtorch.app.rundir import CHECKPOINT, POLICY, SUMMARY, RunFolder, json_text
 from edtorch.app.signals import Interrupted, Stop
@@ -38,13 +39,11 @@ from edtorch.app.summary import (
 )
 from edtorch.checkpoint import save_policy, save_training, write_text
 from edtorch.compilation import CannotCompile
-from edtorch.evaluation import evaluate
 from edtorch.interact import Training
 from edtorch.learner import Learner
 from edtorch.log import ConsoleSink, CsvSink, Sink, StderrHandler, TensorBoardSink
 from edtorch.tiles import Tiles
 from edtorch.trouble import CovarianceFloored
-from edtorch.world import World
 
 logger = logging.getLogger("edtorch")
 
@@ -135,7 +134,21 @@ def _go_on_compiled(training: Training, learner: Learner, *, required: bool) -> 
     )
 
 
-def _learn(job: _Job, training: Training, sinks: list[Sink]) -> None:
+def _report_evaluation(job: _Job, done: Evaluation, sinks: list[Sink]) -> None:
+    """One line on the console, and scalars."""
+    figures = {k: v for k, v in done.as_json().items() if k != "minutes"}
+    text = ", ".join(
+        f"{name} {spread['median']:.3g}"
+        for name, spread in figures.items()
+        if spread["median"] is not None
+    )
+    job.console.print(f"after {done.minutes:g} min: {text}", soft_wrap=True, highlight=False)
+    for sink in sinks:
+        if isinstance(sink, TensorBoardSink):
+            sink.spreads("evaluation", figures, round(60 * done.minutes))
+
+
+def _learn(job: _Job, training: Training, sinks: list[Sink], evaluations: Evaluations) -> None:
     """Run the loop to the end of every budget, reporting on the way."""
     log, after = job.config.log, job.setup.compute.after
     per_snapshot = max(1, round(log.every / training.world.dt))
@@ -146,7 +159,7 @@ def _learn(job: _Job, training: Training, sinks: list[Sink]) -> None:
         if waiting is not None and training.clock >= after:
             _go_on_compiled(training, waiting, required=job.setup.compute.required)
             waiting = None
-        ticks = per_snapshot
+        ticks = evaluations.ticks_ahead(training.clock, per_snapshot)
         if waiting is not None:
             ticks = min(ticks, after - training.clock)
         _advance(training, ticks, job.stop)
@@ -159,24 +172,30 @@ def _learn(job: _Job, training: Training, sinks: list[Sink]) -> None:
         reported = len(training.episodes)
         _warn_of_trouble(training, warned)
         _warn_of_floors(training, floored)
+        evaluation = evaluations.run_if_due(training)
+        if evaluation is not None:
+            _report_evaluation(job, evaluation, sinks)
         if training.seconds >= next_save:
             save_training(job.path / CHECKPOINT, training)
             next_save += log.checkpoint
 
 
-def _learn_and_save(job: _Job, training: Training, sinks: list[Sink], timing: Timing) -> None:
+def _learn_and_save(
+    job: _Job, training: Training, sinks: list[Sink], timing: Timing, evaluations: Evaluations
+) -> None:
     """Learn; however that ends, time it and save what has been learned."""
     wall, cpu = time.monotonic(), time.process_time()
     try:
         with job.stop.between_ticks(), contextlib.suppress(_Stopped):
-            _learn(job, training, sinks)
+            _learn(job, training, sinks, evaluations)
     finally:
         with job.stop.not_now():
-            timing.wall_s = time.monotonic() - wall
-            timing.cpu_s = time.process_time() - cpu
+            timing.wall_s = time.monotonic() - wall - evaluations.wall_s
+            timing.cpu_s = time.process_time() - cpu - evaluations.cpu_s
             timing.ticks = int(training.learners.tick.sum())
             save_training(job.path / CHECKPOINT, training)
-            save_policy(job.path / POLICY, training.learners.policy, job.setup.card)
+            parameters = job.setup.learner.acting(training.learners)
+            save_policy(job.path / POLICY, parameters, job.setup.card)
     if job.stop.asked:
         raise KeyboardInterrupt
 
@@ -188,9 +207,17 @@ def _timed(timing: Timing, name: str) -> Iterator[None]:
     setattr(timing, name, time.monotonic() - began)
 
 
-def _sinks(job: _Job) -> tuple[list[Sink], TensorBoardSink | None]:
+def _measures(training: Training) -> list[str]:
+    """Names of what the sim measures at the end of an episode, where that tells of a goal."""
+    if not training.world.spec.goal:
+        return []
+    world, zero = training.worlds.world[:1], torch.zeros(1, dtype=torch.float64)
+    return list(training.world.sim.measures(world, world, zero))
+
+
+def _sinks(job: _Job, measures: list[str]) -> tuple[list[Sink], TensorBoardSink | None]:
     log = job.config.log
-    sinks: list[Sink] = [CsvSink(job.path)]
+    sinks: list[Sink] = [CsvSink(job.path, measures)]
     board = None
     if log.tensorboard:
         board = TensorBoardSink(job.path, OmegaConf.to_yaml(job.config, resolve=True))
@@ -209,24 +236,24 @@ def _train(job: _Job) -> dict[str, Any]:
     precision = "float64" if setup.world.dtype == torch.float64 else "mixed precision"
     logger.info("%s; %s; %s", title, setup.path, precision)
     timing = Timing(startup_s=time.monotonic() - job.began)
-    sinks, board = _sinks(job)
+    sinks, board = _sinks(job, _measures(training))
+    evaluations = Evaluations(setup, config)
     try:
-        _learn_and_save(job, training, sinks, timing)
-        with _timed(timing, "eval_s"):
-            episodes = config.eval.episodes
-            evaluated = [[] for _ in setup.seeds]
-            if episodes:
-                console.print(f"{episodes} fresh episodes for each policy...")
-                # A world of its own: one that wraps a simulator is still in its last episode.
-                world = World(build_sim(config.domain), setup.world.dtype, setup.world.device)
-                policy, parameters = setup.learner.policy, training.learners.policy
-                evaluated = evaluate(policy, parameters, world, setup.seeds, episodes)
+        _learn_and_save(job, training, sinks, timing, evaluations)
+        if config.eval.episodes and not evaluations.is_fresh(training):
+            console.print(f"{config.eval.episodes} fresh episodes for each policy...")
+        evaluations.run(training)
+        timing.eval_s = evaluations.wall_s
         with _timed(timing, "figures_s"):
             if config.log.figures:
-                figure = draw(training, job.path, animate=config.log.animation)
+                animate = config.log.animation
+                if setup.world.spec.goal:
+                    figure = draw_reaching(training, setup.calm(), job.path, animate=animate)
+                else:
+                    figure = draw(training, job.path, animate=animate)
                 if board is not None:
                     board.writer.add_figure("learning_curve", figure, round(training.seconds))
-        summary = summarise(training, timing, evaluated)
+        summary = summarise(training, timing, evaluations.done)
         if board is not None:
             board.hparams(flat_settings(config), medians(summary))
     finally:

@@ -123,3 +123,27 @@ def evaluation_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]
 
 def _measure(episodes: Sequence[Sequence[Episode]], name: str) -> list[float | None]:
     return [_median_or_none([e.measures.get(name, math.nan) for e in own]) for own in episodes]
+
+
+MEDIANS = {"joint_error_rad": "joint_error_median_rad"}
+"""Measures of which the median over the episodes is told beside the mean, under this name."""
+
+
+def goal_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]:
+    """The figures of fresh episodes of a family of tasks, per seed: means over all episodes of the
+    sim's own measures at their ends, crashes included, and the shares that crashed or succeeded."""
+    names = next((list(e.measures) for own in evaluated for e in own), [])
+    figures: dict[str, Any] = {}
+    for name in names:
+        values = [[e.measures[name] for e in own] for own in evaluated]
+        figures[name] = Spread([statistics.fmean(own) for own in values]).as_json()
+        if name in MEDIANS:
+            figures[MEDIANS[name]] = Spread([statistics.median(own) for own in values]).as_json()
+    for name, outcome in (("crash_rate", Outcome.FAILED), ("success_rate", Outcome.SUCCEEDED)):
+        figures[name] = Spread(
+            [
+                sum(e.outcome is outcome for e in own) / len(own) if own else None
+                for own in evaluated
+            ]
+        ).as_json()
+    return figures

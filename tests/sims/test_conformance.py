@@ -124,6 +124,24 @@ class Short(Bicycle):
         return super().observe(state)[..., :4]
 
 
+@dataclass(frozen=True)
+class MovingGoal(Bicycle):
+    """What it calls a goal changes as it rides."""
+
+    @property
+    def spec(self) -> Spec:
+        return replace(super().spec, goal=("angle_to_goal",), tracked=("lean",))
+
+
+@dataclass(frozen=True)
+class Goalless(Bicycle):
+    """Follows nothing."""
+
+    @property
+    def spec(self) -> Spec:
+        return replace(super().spec, tracked=("lean",))
+
+
 @pytest.mark.parametrize(
     ("broken", "message"),
     [
@@ -139,6 +157,8 @@ class Short(Bicycle):
         (Mismeasured, "measures.seconds"),
         (Misnamed, "headline"),
         (Short, "observation of shape"),
+        (MovingGoal, "the goal has moved"),
+        (Goalless, "spec.goal, spec.tracked"),
     ],
 )
 def test_a_broken_sim_is_named(broken: type[Bicycle], message: str) -> None:

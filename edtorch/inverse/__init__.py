@@ -1,0 +1,1 @@
+"""Inverse models and inverse policies (paper, section 5)."""

@@ -1,0 +1,222 @@
+"""One tick of learning an inverse model and an inverse policy (section 5), as a pure function.
+
+The same walk as ``edtorch.learner``, with the same state and the same ``initial``, ``act`` and
+``step``; what is fitted and what is unrolled are others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from edtorch.fit import Fit, RecursiveLeastSquares
+from edtorch.inverse.controller import InverseController
+from edtorch.inverse.coordinates import View
+from edtorch.inverse.unroll import InverseUnroll, base_regressor
+from edtorch.policies import explore
+from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
+from edtorch.update import Step, gradient_norm
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How much a transition counts in the fit of the inverse model.
+
+    w = 1 / (1 + (max |ddq| / acceleration)^2 + (max |dq| / speed)^4): what happens while the arm
+    is thrown about is far from where the policy is to work.  In rad/s^2 and rad/s.
+    """
+
+    acceleration: float = 100.0
+    speed: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name in ("acceleration", "speed"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}={getattr(self, name)}: expected a number > 0")
+
+    def __call__(self, speed: Tensor, acceleration: Tensor) -> Tensor:
+        """w ``[*batch, 1]``; both ``[*batch, n]``."""
+        violence = (acceleration.abs().amax(-1, keepdim=True) / self.acceleration).square()
+        haste = (speed.abs().amax(-1, keepdim=True) / self.speed).square().square()
+        return 1 / (1 + violence + haste)
+
+
+def _finite(tensor: Tensor) -> Tensor:
+    """Whether every number of a learner is finite, ``[B]``."""
+    return torch.isfinite(tensor.flatten(1).sum(-1))
+
+
+@dataclass(frozen=True)
+class InverseLearner:
+    """A population of learners of inverse models; what they know is in a ``LearnerState``.
+
+    Its ``model`` has the ``inverse`` W ``[B, n, k]`` and the ``base`` V ``[B, p, r]``, its
+    ``policy`` the ``weight`` Theta, its ``step`` the step rule's memory, the last ``states`` and
+    ``goals`` to unroll from, and value and gradient of the last update.
+
+    fit: of W, to samples weighted by ``trust``; base_fit: of V; every: ticks between two updates of
+    the policy; recent: states of the last ticks that an update unrolls from; exploration: standard
+    deviation of the Gaussian added to the action, scaled units.
+    """
+
+    policy: InverseController
+    unroll: InverseUnroll
+    fit: Fit
+    step_rule: Step
+    every: int = 5
+    recent: int = 10
+    exploration: float = 0.0
+    trust: Trust = field(default_factory=Trust)
+    base_fit: Fit = field(default_factory=lambda: RecursiveLeastSquares(1000.0, 0.9999))
+    needs_autograd: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("every", "recent"):
+            if not getattr(self, name) >= 1:
+                raise ValueError(f"{name}={getattr(self, name)}: expected at least one")
+        if not self.exploration >= 0:
+            raise ValueError(f"exploration={self.exploration}: expected a number >= 0")
+
+    def initial(self, seeds: Sequence[int]) -> LearnerState:
+        """Learners that know nothing yet, one per seed."""
+        size, layout = len(seeds), self.policy.policy.layout
+        n, p = layout.joints, layout.others
+
+        def zeros(*shape: int) -> Tensor:
+            return torch.zeros(size, *shape, dtype=torch.float64)
+
+        inverse = zeros(n, self.policy.features.outputs)
+        base = zeros(p, self.unroll.regressors)
+        policy = {"weight": zeros(n, self.policy.policy.outputs)}
+        fit = {f"inverse.{k}": m for k, m in self.fit.initial(inverse).items()}
+        fit |= {f"base.{k}": m for k, m in self.base_fit.initial(base).items()}
+        ticks = torch.zeros(size, dtype=torch.int64)
+        return LearnerState(
+            model={"inverse": inverse, "base": base},
+            policy=policy,
+            fit=fit,
+            noise={},
+            step={f"rule.{k}": m for k, m in self.step_rule.initial(policy).items()}
+            | {
+                "states": zeros(self.recent, layout.size),
+                "goals": zeros(self.recent, n),
+                "value": zeros(),
+                "gradient": zeros(),
+            },
+            seed=torch.tensor(list(seeds), dtype=torch.int64),
+            tick=ticks,
+            sound_ticks=ticks,
+        )
+
+    def acting(self, state: LearnerState) -> Parameters:
+        """What ``policy.action`` needs of a state."""
+        return {"weight": state.policy["weight"], "inverse": state.model["inverse"]}
+
+    def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:
+        """W phi(s, pi(s, g)) plus exploration, ``[B, m]`` in scaled units; normal ``[B, m]``."""
+        return explore(
+            self.policy.action(self.acting(state), observation), normal, self.exploration
+        )
+
+    def step(self, state: LearnerState, transition: Transition) -> tuple[LearnerState, Metrics]:
+        """Fit, and every so often climb, after one transition of each learner.
+
+        Whether an update is due is asked of a tensor, so that in between it costs nothing.
+        """
+        coordinates = self.policy.coordinates
+        before = coordinates.view(transition.state)
+        after = coordinates.view(transition.next_state)
+        sound = _finite(transition.next_state)
+        learn = transition.valid & sound
+        learned, error, fit_ok = self._fit(state, transition, before, after, learn)
+
+        # The unroll starts from the states of the last ticks: a row each, in turn.
+        place = (state.tick % self.recent).unsqueeze(-1)
+        here = (torch.arange(self.recent) == place) & learn.unsqueeze(-1)
+        states = select(here, after.state.unsqueeze(-2), state.step["states"])
+        goals = select(here, after.goal.unsqueeze(-2), state.step["goals"])
+        learned = replace(
+            learned,
+            tick=state.tick + transition.valid,
+            step=state.step | {"states": states, "goals": goals},
+        )
+        value_ok = torch.ones_like(sound)
+        due = transition.valid & (learned.tick % self.every == 0) & (learned.tick >= self.recent)
+        if bool(due.any()):
+            learned, value_ok = self._climb(learned, transition.dt * self.every, due)
+        unbroken = value_ok & fit_ok & (state.sound_ticks == state.tick) & transition.valid
+        learned = replace(learned, sound_ticks=state.sound_ticks + unbroken)
+        finite = torch.stack([sound, fit_ok, value_ok])
+        value, gradient = learned.step["value"], learned.step["gradient"]
+        return learned, Metrics(value, gradient, error, finite, None)
+
+    def _fit(
+        self,
+        state: LearnerState,
+        transition: Transition,
+        before: View,
+        after: View,
+        learn: Tensor,
+    ) -> tuple[LearnerState, Tensor, Tensor]:
+        """Steps 1 and 2 of Fig. 1; also the error before, and whether all is finite, ``[B]``."""
+        layout, dt = self.policy.policy.layout, transition.dt
+        n, half = layout.joints, layout.size // 2
+        known = learn.unsqueeze(-1)
+
+        # A row of zeros leaves a fit as it is, at a fraction of what selecting its memory costs.
+        def only_known(tensor: Tensor) -> Tensor:
+            return torch.where(known, tensor, 0.0)
+
+        rate = before.joints[..., half : half + n]
+        acceleration = (after.joints[..., half : half + n] - rate) / dt
+        weight = self.trust(rate, acceleration)
+        phi = only_known(self.policy.features(before.joints, acceleration))
+        target = only_known(transition.action)
+        old = state.model["inverse"]
+        memory = _part(state.fit, "inverse.")
+        fitted = self.fit.update(
+            old, memory, only_known(weight * phi), only_known(weight * target), dt
+        )
+        error = (fitted.residual / only_known(weight).clamp(min=1e-300)).abs().mean(-1)
+
+        change = only_known((after.state - before.state)[..., half:] / dt)
+        psi = only_known(base_regressor(self.unroll.policy, before.state, change[..., :n]))
+        base_memory = _part(state.fit, "base.")
+        base = self.base_fit.update(state.model["base"], base_memory, psi, change[..., n:], dt)
+
+        fit_ok = _finite(fitted.weight) & _finite(base.weight)
+        keep = learn & fit_ok
+        fit = {f"inverse.{k}": m for k, m in fitted.memory.items()}
+        fit |= {f"base.{k}": select(keep, m, base_memory[k]) for k, m in base.memory.items()}
+        model = {
+            "inverse": select(keep, fitted.weight, old),
+            "base": select(keep, base.weight, state.model["base"]),
+        }
+        return replace(state, model=model, fit=fit), error, fit_ok
+
+    def _climb(
+        self, state: LearnerState, seconds: Tensor, due: Tensor
+    ) -> tuple[LearnerState, Tensor]:
+        """Steps 3 to 7 of Fig. 1 for the learners that are ``due``; also what is finite."""
+        theta, memory = state.policy["weight"], state.step
+        value, gradient = self.unroll(theta, state.model["base"], memory["states"], memory["goals"])
+        size = gradient_norm({"weight": gradient})
+        value_ok = torch.isfinite(value + size)
+        rule = _part(memory, "rule.")
+        policy, rule = self.step_rule(state.policy, {"weight": gradient}, rule, seconds)
+        climb = due & value_ok
+        step = memory | {
+            "value": torch.where(climb, value, memory["value"]),
+            "gradient": torch.where(climb, size, memory["gradient"]),
+        }
+        step |= {f"rule.{k}": select(climb, m, memory[f"rule.{k}"]) for k, m in rule.items()}
+        weight = select(climb, policy["weight"], theta)
+        return replace(state, policy={"weight": weight}, step=step), value_ok | ~due
+
+
+def _part(memory: Parameters, prefix: str) -> Parameters:
+    """The entries whose names begin with ``prefix``, by the rest of their names."""
+    return {k.removeprefix(prefix): m for k, m in memory.items() if k.startswith(prefix)}
