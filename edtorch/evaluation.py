@@ -77,7 +77,7 @@ def _run(
             state = select(active, world.step(state, action, draw.uniform), state)
             if watch is not None:
                 watch(state)
-            observation = world.observe(state)
+            observation = world.observe(state, observation)
             outcome = world.outcome(state, clock)
             ended = active & (outcome != int(Outcome.RUNNING))
             if bool(ended.any()):

@@ -37,7 +37,8 @@ class Quantity:
 
     ``scale`` divides it on its way to a learner, which sees numbers of order one; ``period`` is
     that of an angle that wraps (2 pi), 0 for anything else; ``low`` and ``high`` bound it (an
-    action is clipped to them where ``Spec.clip_action`` says so).  All in ``unit``.  ``rate_of``
+    action is clipped to them where ``Spec.clip_action`` says so); an episode fails where a
+    component of the state is farther than ``limit`` from zero.  All in ``unit``.  ``rate_of``
     names the component whose time derivative this one is, if one is.
     """
 
@@ -48,6 +49,7 @@ class Quantity:
     high: float = float("inf")
     period: float = 0.0
     rate_of: str = ""
+    limit: float = float("inf")
 
 
 @dataclass(frozen=True)

@@ -181,11 +181,18 @@ class Bicycle:
         scale = _STATE_SCALE | dict(self.state_scale)
         names = list(_STATE_SCALE) if self.lean_acceleration else list(_STATE_SCALE)[:-1]
         period = {"angle_to_goal": 2 * math.pi}
+        limit = {"lean": float(self.physics.omega_max)}
         action_scale = _ACTION_SCALE | dict(self.action_scale)
         return Spec(
             name="bicycle",
             state=tuple(
-                Quantity(name, _STATE_UNIT[name], scale[name], period=period.get(name, 0.0))
+                Quantity(
+                    name,
+                    _STATE_UNIT[name],
+                    scale[name],
+                    period=period.get(name, 0.0),
+                    limit=limit.get(name, math.inf),
+                )
                 for name in names
             ),
             action=tuple(

@@ -8,6 +8,7 @@ import torch
 from omegaconf import DictConfig
 
 from edtorch.app.checks import at_least
+from edtorch.app.command import variant
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
 from edtorch.inverse.controller import InverseController
@@ -99,6 +100,11 @@ def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> I
         horizon = Horizon(unroll.horizon, unroll.dt, unroll.discount, unroll.dt, unroll.reading)
     with under("reward"):
         value = InverseUnroll(controller.policy, horizon, config.reward.goal)
+    if variant(config.command) != "free":
+        raise ConfigError(
+            f"command={config.command.variant}: expected free with an inverse policy, whose error"
+            " has a limit of its own (inverse.limit)"
+        )
     at_least("noise.exploration", config.noise.exploration, 0)
     fit = construct("fit", config.fit, "initial", "update")
     rule = construct("step", config.step, "initial")

@@ -217,10 +217,14 @@ class RewardConfig:
 
 @dataclass
 class NoiseConfig:
-    """exploration: scaled standard deviation; rate: of nu~ (where covariance is propagated)."""
+    """exploration: scaled standard deviation; exploration_start: that of a newborn learner, null:
+    the same; exploration_decay: seconds in which the difference falls by e; rate: of nu~ (where
+    covariance is propagated)."""
 
     _target_: str = MISSING
     exploration: float = 0.05
+    exploration_start: float | None = None
+    exploration_decay: float = 0.3
     rate: float = 1.0
 
 
@@ -248,15 +252,72 @@ class MonteCarloConfig(TransformConfig):
 @dataclass
 class UnrollConfig:
     """horizon: steps; dt: seconds a step (derivative form); discount: per second, or per step;
-    start_deviation: scaled standard deviation of the belief that it starts from; path: auto,
+    start: state, of the moment, or origin; start_deviation: scaled standard deviation of the belief
+    that it starts from; direction: gradient, or regulator (Riccati's, with step=full); path: auto,
     closed_form or generic; reading: figure or definition, see ``edtorch.unroll.Horizon``."""
 
     horizon: int = 30
     dt: float = 0.051
     discount: float = 1.0
+    start: str = "state"
     start_deviation: float = 0.0
+    direction: str = "gradient"
     path: str = "auto"
     reading: str = "figure"
+
+
+@dataclass
+class ScheduleConfig:
+    """first: tick of the first improvement of the policy; often: seconds up to which every tick
+    improves it; every: ticks from one improvement to the next after that."""
+
+    first: int = 1
+    often: float = 0.0
+    every: int = 1
+
+
+@dataclass
+class ObservationConfig:
+    """unwrap: rad beyond half a turn up to which angles are counted on; null: always wrapped."""
+
+    unwrap: float | None = None
+
+
+@dataclass
+class FreeCommandConfig:
+    """Model and policy see all of the state."""
+
+    variant: str = "free"
+
+
+@dataclass
+class RampConfig:
+    """variant: ramp or safe; component: of the state, by name; start, final: its bound for a
+    newborn learner and later, in its unit; decay: seconds; see ``edtorch.command``."""
+
+    variant: str = MISSING
+    component: str = MISSING
+    start: float = 0.25
+    final: float = 1.0
+    decay: float = 3.0
+
+
+@dataclass
+class SafeConfig(RampConfig):
+    """share of the limits that a command may use up; deviations: standard deviations to keep off;
+    horizon: steps predicted; dt: seconds a step."""
+
+    share: float = 0.7
+    deviations: float = 0.0
+    horizon: int = 45
+    dt: float = 0.051
+
+
+@dataclass
+class FullStepConfig:
+    """``edtorch.update.FullStep``."""
+
+    _target_: str = MISSING
 
 
 @dataclass
@@ -363,6 +424,9 @@ class TrainConfig:
     noise: Any = MISSING
     transform: Any = MISSING
     unroll: UnrollConfig = field(default_factory=UnrollConfig)
+    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    command: Any = None  # as in the runs of before there was such a group: free
     step: Any = MISSING
     rival: Any = field(default_factory=RivalConfig)
     train: BudgetConfig = field(default_factory=BudgetConfig)
@@ -426,6 +490,12 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "saturated_schema": SaturatedStepConfig,
         "decaying_schema": DecayingStepConfig,
         "plain_schema": PlainStepConfig,
+        "full_schema": FullStepConfig,
+    },
+    "command": {
+        "free_schema": FreeCommandConfig,
+        "ramp_schema": RampConfig,
+        "safe_schema": SafeConfig,
     },
     "rival": {"rival_schema": RivalConfig, "random_search_schema": RandomSearchConfig},
 }

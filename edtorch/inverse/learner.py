@@ -99,6 +99,7 @@ class InverseLearner:
             policy=policy,
             fit=fit,
             noise={},
+            limit={},
             step={f"rule.{k}": m for k, m in self.step_rule.initial(policy).items()}
             | {
                 "states": zeros(self.recent, layout.size),
@@ -121,8 +122,11 @@ class InverseLearner:
             self.policy.action(self.acting(state), observation), normal, self.exploration
         )
 
-    def step(self, state: LearnerState, transition: Transition) -> tuple[LearnerState, Metrics]:
-        """Fit, and every so often climb, after one transition of each learner.
+    def step(
+        self, state: LearnerState, transition: Transition, *, improve: bool = True
+    ) -> tuple[LearnerState, Metrics]:
+        """Fit, and every so often climb (never unless ``improve``), after one transition of each
+        learner.
 
         Whether an update is due is asked of a tensor, so that in between it costs nothing.
         """
@@ -145,7 +149,7 @@ class InverseLearner:
         )
         value_ok = torch.ones_like(sound)
         due = transition.valid & (learned.tick % self.every == 0) & (learned.tick >= self.recent)
-        if bool(due.any()):
+        if improve and bool(due.any()):
             learned, value_ok = self._climb(learned, transition.dt * self.every, due)
         unbroken = value_ok & fit_ok & (state.sound_ticks == state.tick) & transition.valid
         learned = replace(learned, sound_ticks=state.sound_ticks + unbroken)
