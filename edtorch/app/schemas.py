@@ -39,6 +39,7 @@ class PhysicsConfig:
     r: float = 0.34
     theta_max: float = 1.3963
     omega_max: float = math.pi / 15
+    true_precession: bool = False
 
 
 @dataclass
@@ -60,6 +61,14 @@ class BicycleConfig:
     integrate: FunctionConfig = field(
         default_factory=lambda: FunctionConfig("sims.bicycle.semi_implicit")
     )
+    start_lean: float = 0.0
+    start_handlebar: float = 0.0
+    spread: float = 0.0
+    gust: float = 0.0
+    gust_seconds: float = 1.0
+    gust_every: float = 5.0
+    change_at: float | None = None
+    change: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass
