@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -78,12 +78,13 @@ def angle_to_goal(state: Tensor) -> Tensor:
     It is a true angle.  The C program has a surrogate, the cosine minus one or its absolute value,
     whose slope vanishes on course.
     """
-    return _angle_to_goal(state.movedim(-1, 0).contiguous())
+    return angle_to(state.movedim(-1, 0).contiguous(), *GOAL)
 
 
-def _angle_to_goal(components: Tensor) -> Tensor:
+def angle_to(components: Tensor, x: Scalar, y: Scalar) -> Tensor:
+    """That angle for a goal at (x, y) and the components of a state in rows, ``[k, *batch]``."""
     xf, yf, xb, yb = components[6:10].unbind(0)
-    ux, uy, wx, wy = xf - xb, yf - yb, GOAL[0] - xf, GOAL[1] - yf
+    ux, uy, wx, wy = xf - xb, yf - yb, x - xf, y - yf
     return atan2(ux * wy - uy * wx, ux * wx + uy * wy)
 
 
@@ -405,20 +406,27 @@ class Bicycle:
         """What the rider sees, ``[*batch, 5]`` or ``[*batch, 6]``, in the units of ``spec``."""
         components = state.movedim(-1, 0).contiguous()
         theta, theta_dot, omega, omega_dot, omega_ddot = components[:5].unbind(0)
-        rows = (omega, omega_dot, theta, theta_dot, _angle_to_goal(components))
+        rows = (omega, omega_dot, theta, theta_dot, self._angle(components))
         if self.lean_acceleration:
             rows = (*rows, omega_ddot)
         # The batch last in memory, as in the state: compiled, a whole tick is then one pass.
         return torch.stack(rows).movedim(0, -1)
 
+    def _angle(self, components: Tensor) -> Tensor:
+        """The angle to the goal ``[*batch]``, from rows of components ``[k, *batch]``."""
+        return angle_to(components, *GOAL)
+
+    def upright(self, state: Tensor) -> Tensor:
+        """Whether the bicycle has not fallen, bool ``[*batch]``."""
+        # The sum is finite only if every component is; a comparison with NaN is false.
+        return (state[..., 2].abs() <= self.physics.omega_max) & (state.sum(-1).abs() < math.inf)
+
     def outcome(self, state: Tensor) -> Tensor:
         """FAILED, SUCCEEDED or RUNNING as int64 ``[*batch]``; a fall is looked for first."""
-        # The sum is finite only if every component is; a comparison with NaN is false.
-        upright = (state[..., 2].abs() <= self.physics.omega_max) & (state.sum(-1).abs() < math.inf)
         east, north = state[..., 6] - GOAL[0], state[..., 7] - GOAL[1]
         arrived = east * east + north * north <= self.goal_radius * self.goal_radius
         return torch.where(
-            upright,
+            self.upright(state),
             arrived.long() * int(Outcome.SUCCEEDED),
             int(Outcome.FAILED),
         )
@@ -479,7 +487,16 @@ class Bicycle:
         # Pictures need Pillow, riding does not.
         from sims.bicycle_picture import frame
 
-        return frame(trail, goal=GOAL, goal_radius=self.goal_radius)
+        return frame(trail, goal=GOAL, goal_radius=self.goal_radius, **self._hanging(trail))
+
+    def _hanging(self, trail: Tensor) -> dict[str, Any]:
+        """What a picture must know to say where the rider hangs: the constants, as numbers, and the
+        wind in each step of ``trail``."""
+        last = self.constants(trail[-1])
+        numbers = {f.name: getattr(last, f.name) for f in fields(last)}
+        numbers = {k: float(v) if isinstance(v, Tensor) else v for k, v in numbers.items()}
+        wind = trail[:, self._places["gust"]][:, 0] if self._gusts is not None else None
+        return {"physics": Physics(**numbers), "dt": self.dt, "side_force": wind}
 
 
 def _expect(name: str, value: float, expected: str, holds: Callable[[float], bool]) -> None:

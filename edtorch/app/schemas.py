@@ -72,6 +72,30 @@ class BicycleConfig:
 
 
 @dataclass
+class SlalomConfig(BicycleConfig):
+    """Gates instead of a goal; see ``sims.slalom.Slalom``."""
+
+    _target_: str = "sims.slalom.Slalom"
+    time_limit: float = 300.0
+    start_heading_low: float = -math.pi / 2 - 0.2
+    start_heading_high: float = -math.pi / 2 + 0.2
+    gates: int = 10
+    gate_width: float = 4.0
+    gate_spacing: float = 40.0
+    gate_offset: float = 5.0
+
+
+@dataclass
+class SensedConfig:
+    """Any domain seen through sensors; see ``sims.sensing.Sensed``."""
+
+    _target_: str = "sims.sensing.Sensed"
+    sim: Any = MISSING
+    noise: dict[str, float] = field(default_factory=dict)
+    delay: int = 0
+
+
+@dataclass
 class CardeaConfig:
     """An arm on a self-balancing base; see ``sims.cardea.Cardea``."""
 
@@ -407,6 +431,8 @@ SCALARS = frozenset(f.name for f in fields(TrainConfig) if f.type in ("int", "bo
 SCHEMAS: dict[str, dict[str, type]] = {
     "domain": {
         "bicycle_schema": BicycleConfig,
+        "slalom_schema": SlalomConfig,
+        "sensed_schema": SensedConfig,
         "cardea_schema": CardeaConfig,
         "linear_schema": LinearSystemConfig,
         "gymnasium_schema": GymnasiumConfig,
