@@ -15,7 +15,7 @@ from torch import Tensor
 from edtorch.learner import AnyLearner
 from edtorch.records import Budget, Episode, Snapshot
 from edtorch.schedule import ALWAYS, Schedule
-from edtorch.streams import Purpose, Streams, stream_key
+from edtorch.streams import Streams, learning_streams
 from edtorch.tick import Experience, Population, Tick
 from edtorch.trail import Trail
 from edtorch.types import LearnerState, replace
@@ -274,9 +274,3 @@ class Training:
             error=(sums.error / sums.ticks).tolist(),
             policy_norm=torch.stack(squares).sum(0).sqrt().tolist(),
         )
-
-
-def learning_streams(world: World, seeds: Sequence[int]) -> Streams:
-    """What the learners of these seeds draw."""
-    keys = [stream_key(seed, Purpose.LEARNING) for seed in seeds]
-    return Streams(keys, world.uniforms, len(world.spec.action), world.dtype, world.device)

@@ -10,10 +10,10 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from edtorch.innermost import first, last
-from edtorch.interact import Moment, Note, learning_streams
+from edtorch.interact import Moment, Note
 from edtorch.program import Program, compile_tick
 from edtorch.schedule import ALWAYS
-from edtorch.streams import Streams
+from edtorch.streams import Streams, learning_streams
 from edtorch.tick import Population, Tick
 from edtorch.types import replace
 from sims.base import Outcome

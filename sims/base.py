@@ -160,6 +160,18 @@ class Fallible(Protocol):
 
 
 @runtime_checkable
+class Lasting(Protocol):
+    """A sim of which something lasts a learner's whole life, from its first episode on: constants
+    drawn for it, a clock.  ``restart`` leaves that as it is, and a new start depends on the state
+    before it through that alone."""
+
+    @property
+    def lasting(self) -> tuple[int, ...]:
+        """Which components of the full state last; none: all of a new start is drawn."""
+        ...
+
+
+@runtime_checkable
 class Invertible(Protocol):
     """A sim that offers its true inverse dynamics, for yardsticks only."""
 

@@ -9,9 +9,8 @@ import torch
 from torch.utils import _pytree as pytree
 
 from edtorch.closed_form import LinearMeanOnly
-from edtorch.interact import learning_streams
 from edtorch.records import Budget
-from edtorch.streams import Draw
+from edtorch.streams import Draw, learning_streams
 from edtorch.tick import Tick
 from edtorch.types import replace
 from edtorch.world import World

@@ -39,6 +39,7 @@ class PhysicsConfig:
     r: float = 0.34
     theta_max: float = 1.3963
     omega_max: float = math.pi / 15
+    true_precession: bool = False
 
 
 @dataclass
@@ -60,6 +61,38 @@ class BicycleConfig:
     integrate: FunctionConfig = field(
         default_factory=lambda: FunctionConfig("sims.bicycle.semi_implicit")
     )
+    start_lean: float = 0.0
+    start_handlebar: float = 0.0
+    spread: float = 0.0
+    gust: float = 0.0
+    gust_seconds: float = 1.0
+    gust_every: float = 5.0
+    change_at: float | None = None
+    change: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class SlalomConfig(BicycleConfig):
+    """Gates instead of a goal; see ``sims.slalom.Slalom``."""
+
+    _target_: str = "sims.slalom.Slalom"
+    time_limit: float = 300.0
+    start_heading_low: float = -math.pi / 2 - 0.2
+    start_heading_high: float = -math.pi / 2 + 0.2
+    gates: int = 10
+    gate_width: float = 4.0
+    gate_spacing: float = 40.0
+    gate_offset: float = 5.0
+
+
+@dataclass
+class SensedConfig:
+    """Any domain seen through sensors; see ``sims.sensing.Sensed``."""
+
+    _target_: str = "sims.sensing.Sensed"
+    sim: Any = MISSING
+    noise: dict[str, float] = field(default_factory=dict)
+    delay: int = 0
 
 
 @dataclass
@@ -462,6 +495,8 @@ SCALARS = frozenset(f.name for f in fields(TrainConfig) if f.type in ("int", "bo
 SCHEMAS: dict[str, dict[str, type]] = {
     "domain": {
         "bicycle_schema": BicycleConfig,
+        "slalom_schema": SlalomConfig,
+        "sensed_schema": SensedConfig,
         "cardea_schema": CardeaConfig,
         "linear_schema": LinearSystemConfig,
         "gymnasium_schema": GymnasiumConfig,
