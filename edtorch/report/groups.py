@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,11 @@ from edtorch.report.runs import LeftOut, Run, Settings
 
 Defaults = Callable[[Settings], Settings]
 """From the settings of a run to those that it does not name, with the values they have today."""
+
+
+class BaselineUnknown(ValueError):
+    """No group answers to the name of the baseline; the message lists the labels."""
+
 
 HOW_NOT_WHAT = (
     "seed",
@@ -96,7 +102,7 @@ def sections(
     """Sort the runs; the first group of each section is what the others are compared with.
 
     baseline: label or folder of the group that is to be first; by_folder: labels are the names of
-    folders.  Raises ValueError for a baseline that no group answers to.
+    folders.  Raises BaselineUnknown for a baseline that no group answers to.
     """
     kinds: dict[tuple[str, bool], list[Run]] = {}
     for run in runs:
@@ -140,7 +146,7 @@ def sections(
         groups.insert(0, groups.pop(first))
         made.append(Section(domain.rpartition(".")[2], searches, tuple(groups)))
     if not found:
-        raise ValueError(f"baseline={baseline}: expected one of {', '.join(known)}")
+        raise BaselineUnknown(f"baseline={baseline}: expected one of {', '.join(known)}")
     return made, left_out
 
 
@@ -173,7 +179,9 @@ def _figures(run: Run, seeds: list[int]) -> list[Any]:
     """What tells whether two runs of a seed went alike."""
     if run.is_search:
         return [{k: v for k, v in run.summary.items() if isinstance(v, dict) and "count" in v}]
-    columns = [run.per_seed(key) for key in ("falls_before_first_ride", "seconds_before_first_ride")]
+    columns = [
+        run.per_seed(key) for key in ("falls_before_first_ride", "seconds_before_first_ride")
+    ]
     rows = [run.seeds.index(seed) for seed in seeds]
     return [[column[row] for column in columns if column is not None] for row in rows]
 
@@ -239,7 +247,10 @@ def shown(key: str, value: Any) -> str:
     """``fit=RecursiveLeastSquares``, ``step.alpha=0.3``."""
     if key.endswith("._target_"):
         return f"{key.removesuffix('._target_')}={str(value).rpartition('.')[2]}"
-    return f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}"
+    if isinstance(value, float):
+        return f"{key}={value:g}"
+    # As it is written in a configuration and on the command line.
+    return f"{key}={json.dumps(value) if isinstance(value, bool | None) else value}"
 
 
 def _labels(

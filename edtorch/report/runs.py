@@ -118,7 +118,7 @@ def load(path: Path) -> Run:
         raise Unusable(f"unfinished: it has no {SUMMARY}")
     if not (path / CONFIG).exists():
         raise Unusable(f"it has no {CONFIG}")
-    settings = flat(_yaml(path / CONFIG))
+    settings = _settings(path / CONFIG)
     about = _json(path / ABOUT) if (path / ABOUT).exists() else {}
     run = Run(path, settings, _json(path / SUMMARY), about)
     if "domain._target_" not in settings:
@@ -162,15 +162,15 @@ def _json(path: Path) -> dict[str, Any]:
     return content
 
 
-def _yaml(path: Path) -> dict[str, Any]:
+def _settings(path: Path) -> dict[str, Any]:
     try:
         content = yaml.safe_load(_text(path))
+        if isinstance(content, dict):
+            return flat(content)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         why = " ".join(str(error).split())
         raise Unusable(f"corrupted: {path.name} is not YAML ({why})") from error
-    if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
-        raise Unusable(f"corrupted: {path.name}: expected a mapping of settings")
-    return content
+    raise Unusable(f"corrupted: {path.name}: expected a mapping of settings")
 
 
 def _is_number(value: object) -> bool:

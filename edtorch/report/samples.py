@@ -103,7 +103,7 @@ def interquartile_mean(values: Array) -> Array:
     """Mean of the middle half ``[...]`` of sorted values ``[..., n]``: a quarter of them, rounded
     down, is left out at each end."""
     cut = values.shape[-1] // 4
-    return values[..., cut : values.shape[-1] - cut].mean(-1)
+    return np.asarray(values[..., cut : values.shape[-1] - cut].mean(-1), dtype=np.float64)
 
 
 def median(values: Array) -> Array:

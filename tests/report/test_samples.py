@@ -201,5 +201,5 @@ class TestComparison:
     ("values", "censored"), [([], None), ([math.nan], None), ([1.0], [True, False])]
 )
 def test_refuses_what_is_no_sample(values: list[float], censored: list[bool] | None) -> None:
-    with pytest.raises(ValueError, match="values.*expected"):
+    with pytest.raises(ValueError, match=r"values.*expected"):
         Sample.of(values, censored)
