@@ -152,7 +152,9 @@ def _forest(comparison: Comparison, columns: Sequence[_Column], width: float) ->
     labels = [row.group.label for row in comparison.rows]
     narrow = width <= NARROW
     with _canvas(width):
-        height = 0.9 + (0.42 if narrow else 0.3) * max(2, len(labels))
+        wrapped = [textwrap.fill(label, 34) for label in labels]
+        lines = 1 + max(label.count("\n") for label in wrapped)
+        height = 0.9 + (0.42 if narrow else 0.15 + 0.13 * lines) * max(2, len(labels))
         figure, panels = _grid(width, len(columns), height)
         beside = 1 if narrow else min(len(columns), 3)
         for k, (axes, column) in enumerate(zip(panels, columns, strict=True)):
@@ -163,7 +165,6 @@ def _forest(comparison: Comparison, columns: Sequence[_Column], width: float) ->
                     axes.text(0, y - 0.22, textwrap.shorten(label, 52), transform=place, size=7)
                 axes.set_yticks([])
             elif k % beside == 0:
-                wrapped = [textwrap.fill(label, 30) for label in labels]
                 axes.set_yticks(range(len(labels)), wrapped)
             else:
                 axes.set_yticks(range(len(labels)), [""] * len(labels))
@@ -179,6 +180,8 @@ def _forest_panel(axes: Axes, column: _Column, labels: Sequence[str]) -> None:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
     edge = max(known, default=1.0)
+    # Room for the arrows of what lies beyond.
+    edge *= 1.25 if axes.get_xscale() == "log" else 1.08
     for y, label in enumerate(labels):
         point = column.points.get(label)
         if point is None:
@@ -229,18 +232,27 @@ def _distributions(comparison: Comparison, width: float) -> Figure:
         for k, axes in enumerate(panels):
             part, quantity = parts[k // len(told)], told[k % len(told)]
             _distribution(axes, quantity, [first, *part])
+            _same_axis(axes, quantity, comparison.rows)
             if narrow or k % len(told) == 0:
                 axes.set_ylabel("share of the seeds")
             axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), frameon=False, fontsize=7.5)
     return figure
 
 
-def _distribution(axes: Axes, quantity: Quantity, rows: Sequence[Row]) -> None:
+def _same_axis(axes: Axes, quantity: Quantity, rows: Sequence[Row]) -> None:
+    """All panels of a quantity can be compared."""
     found = [row.estimates[quantity.name].sample for row in rows if quantity.name in row.estimates]
     low, high = min(s.lived[0] for s in found), max(s.lived[-1] for s in found)
     if low > 0 and high / low > LOGARITHMIC:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
+        axes.set_xlim(low / 1.1, high * 1.1)
+    else:
+        margin = 0.04 * (high - low) or 0.5
+        axes.set_xlim(low - margin, high + margin)
+
+
+def _distribution(axes: Axes, quantity: Quantity, rows: Sequence[Row]) -> None:
     for row, colour in zip(rows, (INK, *HUES), strict=False):
         if quantity.name not in row.estimates:
             continue

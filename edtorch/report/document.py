@@ -139,7 +139,9 @@ def overview(comparison: Comparison) -> Table:
     title = f"{comparison.section.title}, overview"
     if comparison.section.searches:
         return _search_overview(comparison, title)
-    goal = [q for q in comparison.quantities if q.path[0] in ("goal_rate", "goal_time_s")]
+    goal = [
+        q for q in comparison.quantities if q.path[0] in ("goal_rate", "fall_rate", "goal_time_s")
+    ]
     final = [q for q in comparison.quantities if q.path[0] == FINAL]
     chosen = [*goal, *(q for q in final if _is_headline(q))]
     header = ("group", "seeds", "rode", FALLS.brief, "no fall before", SECONDS.brief)

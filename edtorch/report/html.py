@@ -37,6 +37,7 @@ table { border-collapse: collapse; font-size: .875rem; font-variant-numeric: tab
 th, td { padding: .35rem .7rem; text-align: left; vertical-align: top;
   border-bottom: 1px solid var(--line); overflow-wrap: normal; }
 thead th { background: var(--soft); } tbody th { font-weight: 600; min-width: 8rem; }
+small { display: block; white-space: nowrap; color: var(--quiet); }
 details { margin: .8rem 0; } summary { cursor: pointer; }
 @media (max-width: 640px) {
   .wide { display: none; } .narrow { display: block; }
@@ -45,7 +46,7 @@ details { margin: .8rem 0; } summary { cursor: pointer; }
   thead { display: none; }
   tbody tr { border: 1px solid var(--line); border-radius: .4rem; margin: 0 0 .8rem; }
   tbody th { background: var(--soft); }
-  td, th { overflow-wrap: anywhere; }
+  td, th { overflow-wrap: anywhere; } small { white-space: normal; }
   td { display: grid; grid-template-columns: 9rem 1fr; gap: .6rem; }
   td::before { content: attr(data-label); color: var(--quiet); }
   tr > :last-child { border-bottom: 0; } }
@@ -91,7 +92,7 @@ def _table(table: Table) -> str:
     for row in table.rows:
         cells = [f'<th scope="row">{escape(row[0])}</th>']
         cells += [
-            f'<td data-label="{escape(label)}"><span>{escape(cell)}</span></td>'
+            f'<td data-label="{escape(label)}"><span>{_cell(cell)}</span></td>'
             for label, cell in zip(table.header[1:], row[1:], strict=True)
         ]
         rows.append(f"<tr>{''.join(cells)}</tr>")
@@ -101,6 +102,13 @@ def _table(table: Table) -> str:
         f'<div class="scroll"><table>\n<thead><tr>{head}</tr></thead>\n'
         f"<tbody>\n{body}\n</tbody>\n</table></div>\n{note}"
     )
+
+
+def _cell(text: str) -> str:
+    """The estimate, and on a line of its own its interval."""
+    estimate, bracket, rest = text.partition(" [")
+    interval = f" <small>[{escape(rest)}</small>" if bracket else ""
+    return f"{escape(estimate)}{interval}"
 
 
 def _figure(chart: Chart) -> str:

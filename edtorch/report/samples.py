@@ -141,7 +141,8 @@ def survival(sample: Sample, places: NDArray[np.unsignedinteger] | None = None) 
     n = len(sample)
     chosen = np.arange(n) if places is None else places
     events = ~sample.censored[chosen]
-    return np.cumprod(1 - events / (n - np.arange(n)), axis=-1)
+    lasting: Array = 1.0 - events / (n - np.arange(n, dtype=np.float64))
+    return np.cumprod(lasting, axis=-1, dtype=np.float64)
 
 
 def _crossing(sample: Sample, places: NDArray[np.unsignedinteger] | None) -> Array:
