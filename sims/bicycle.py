@@ -488,6 +488,12 @@ class Bicycle:
         age = components[self._places["age"]][0]
         return first, ((self._change_step - age) * self.dt).clamp(min=0.0), later
 
+    def yardsticks(self) -> Mapping[str, Callable[[Tensor], Tensor]]:
+        """``lqr``: the regulator that knows the bicycle (``sims.bicycle_lqr``)."""
+        from sims.bicycle_lqr import Lqr
+
+        return {"lqr": Lqr(self)}
+
     def frame(self, trail: Tensor) -> np.ndarray:
         """RGB picture (uint8 ``[270, 480, 3]``): the path from above and the rider from behind, for
         the states ``[T, k]`` of one ride so far."""

@@ -61,8 +61,8 @@ class Slalom(Bicycle):
                 raise ValueError(f"{name}={value!r}: expected a finite number{above} (m)")
         if self.goal_radius != _GOAL_RADIUS:
             raise ValueError(
-                f"goal_radius={self.goal_radius}: expected {_GOAL_RADIUS}, a course has gates and no"
-                " goal; set gate_width"
+                f"goal_radius={self.goal_radius}: expected {_GOAL_RADIUS}, a course has gates and"
+                " no goal; set gate_width"
             )
 
     @cached_property
