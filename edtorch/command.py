@@ -74,8 +74,9 @@ class Safe:
     """Within ``ramp``, and no more than what the model says is safe.
 
     model, policy: templates, linear; noise: the rule for nu~, needed where deviations k > 0; dt:
-    seconds a step of the prediction; steps: how many; limits: by index, in scaled units; share of a
-    limit that a command may use up.  The response is that of the other components to this one.
+    seconds a step of the prediction; steps: how many; limits: by index, in scaled units; share: of
+    a limit that a command may use up, a function of the age, since a young model's predictions are
+    not to be relied on.  The response is that of the other components to this one.
     """
 
     ramp: Ramp
@@ -85,7 +86,7 @@ class Safe:
     dt: float
     steps: int
     limits: Sequence[tuple[int, float]]
-    share: float = 0.7
+    share: Annealed
     deviations: float = 0.0
     rest: Tensor = field(init=False)
 
@@ -97,8 +98,9 @@ class Safe:
                 raise ValueError(f"limits[{index}]={limit}: expected a number > 0")
             if index == self.ramp.index:
                 raise ValueError(f"limits[{index}]: the command itself has a limit; name another")
-        if not 0 < self.share <= 1:
-            raise ValueError(f"share={self.share}: expected a number in (0, 1]")
+        for name, share in (("share_start", self.share.start), ("share", self.share.final)):
+            if not 0 < share <= 1:
+                raise ValueError(f"{name}={share}: expected a number in (0, 1]")
         if not self.deviations >= 0:
             raise ValueError(f"deviations={self.deviations}: expected a number >= 0")
         if self.deviations > 0 and (self.noise is None or not self.noise.is_constant):
@@ -130,13 +132,14 @@ class Safe:
             nu = self.model.noise_over(self.noise.covariance(noise, mean), self.dt)
             nu = nu * self.rest.unsqueeze(-1) * self.rest
         allowed = self.ramp.bound(ticks, self.ramp.dtype)
+        share = self.share(ticks, self.ramp.dtype)
         for _ in range(self.steps):
             mean = mean + (D @ mean.unsqueeze(-1)).squeeze(-1)
             if watched:
                 half = cov + D @ cov
                 cov = half + half @ D.mT + nu
             for index, limit in self.limits:
-                room = self.share * limit
+                room = share * limit
                 if watched:
                     room = (room - self.deviations * cov[..., index, index].sqrt()).clamp(min=0.0)
                 response = mean[..., index].abs().clamp(min=_NO_RESPONSE)

@@ -80,12 +80,13 @@ def training_and_tick(
     schedule = ALWAYS
     if cautious:
         schedule = Schedule(first=10, often=40, every=16)
+        share = Annealed(0.3, 0.7, 100.0)
         ramp = Ramp(n - 1, n, Annealed(0.1, 1.0, 100.0), torch.float64)
         learner = replace(
             learner,
             value=FromOrigin(learner.value),
             exploration=Annealed(0.5, 0.05, 30.0),
-            command=Safe(ramp, model, policy, noise, 0.051, 4, ((0, 1.0),), deviations=0.5),
+            command=Safe(ramp, model, policy, noise, 0.051, 4, ((0, 1.0),), share, deviations=0.5),
         )
         value = FromOrigin(value)
     training = Training(learner, world, seeds, budget, schedule=schedule)

@@ -20,12 +20,13 @@ from tests.systems import normal
 
 N, M, COMMAND, DT, STEPS = 4, 2, 3, 0.05, 20
 WIDE = Ramp(COMMAND, N, Annealed(50.0, 50.0, 1.0), torch.float64)
+SHARE = Annealed(0.7, 0.7, 1.0)
 MODEL = DerivativeModel(N, M, Identity(N + M), torch.zeros(N, dtype=torch.float64))
 POLICY = LinearPolicy(N, M, Identity(N))
 
 
 def safe(**changes: object) -> Safe:
-    plain = Safe(WIDE, MODEL, POLICY, ResidualNoise(1.0), DT, STEPS, ((0, 1.5), (1, 0.8)), 0.7)
+    plain = Safe(WIDE, MODEL, POLICY, ResidualNoise(1.0), DT, STEPS, ((0, 1.5), (1, 0.8)), SHARE)
     return replace(plain, **changes)
 
 
@@ -115,7 +116,8 @@ def test_knows_no_limit_where_a_command_does_nothing_and_none_where_all_explodes
         ({"limits": ()}, "limits: expected at least one component"),
         ({"limits": ((0, -1.0),)}, r"limits\[0\]=-1.0: expected a number > 0"),
         ({"limits": ((COMMAND, 1.0),)}, "the command itself has a limit"),
-        ({"share": 1.5}, r"share=1.5: expected a number in \(0, 1\]"),
+        ({"share": Annealed(0.5, 1.5, 1.0)}, r"share=1.5: expected a number in \(0, 1\]"),
+        ({"share": Annealed(0.0, 0.5, 1.0)}, r"share_start=0.0: expected a number in"),
         ({"deviations": -1.0}, "deviations=-1.0: expected a number >= 0"),
         ({"deviations": 1.0, "noise": None}, "deviations=1.0: expected a constant rule"),
         ({"deviations": 1.0, "noise": LinearNoise(1.0)}, "expected a constant rule"),
@@ -132,3 +134,12 @@ def test_refuses_what_cannot_be(changes: dict[str, object], message: str) -> Non
 def test_a_ramp_needs_bounds() -> None:
     with pytest.raises(ValueError, match=r"start=0.0: expected a number > 0"):
         Ramp(0, 2, Annealed(0.0, 1.0, 1.0), torch.float64)
+
+
+def test_the_share_grows_with_age() -> None:
+    model, policy, noise, _ = learned(2)
+    rule = safe(share=Annealed(0.2, 0.8, 100.0))
+    young, old = (
+        rule(model, policy, noise, torch.full((2,), age))[:, COMMAND] for age in (0, 10**6)
+    )
+    assert torch.allclose(old, 4 * young, rtol=1e-9)

@@ -70,6 +70,7 @@ def build_command(
             f"command=safe: expected a domain whose state has limits; {world.spec.name} has none"
         )
     with under("command"):
+        share = Annealed(config.share_start, config.share, config.decay / world.dt)
         return Safe(
             ramp,
             model,
@@ -78,7 +79,7 @@ def build_command(
             config.dt,
             config.horizon,
             tuple(constrained),
-            config.share,
+            share,
             config.deviations,
         )
 

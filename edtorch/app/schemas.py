@@ -337,9 +337,11 @@ class RampConfig:
 
 @dataclass
 class SafeConfig(RampConfig):
-    """share of the limits that a command may use up; deviations: standard deviations to keep off;
-    horizon: steps predicted; dt: seconds a step."""
+    """share_start, share: of the limits that a command may use up, for a newborn learner and
+    later; deviations: standard deviations to keep off; horizon: steps predicted; dt: seconds a
+    step."""
 
+    share_start: float = 0.3
     share: float = 0.7
     deviations: float = 0.0
     horizon: int = 45
