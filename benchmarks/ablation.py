@@ -13,7 +13,6 @@ configuration and its summary.
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import subprocess
 import sys
@@ -29,7 +28,7 @@ from omegaconf import OmegaConf
 
 from edtorch.app import schemas
 from edtorch.report.groups import telling
-from edtorch.report.runs import CONFIG, STATUS, SUMMARY, flat
+from edtorch.report.runs import CONFIG, SUMMARY, Settings, Unusable, flat, load
 
 CELLS = Path(__file__).with_suffix(".yaml")
 # A run says in its folder by which command it was made: the one that anybody can type.
@@ -100,9 +99,8 @@ def read_cells(text: str, seeds: int | None = None) -> list[Cell]:
     return cells
 
 
-def _settings(config: Any) -> dict[str, Any]:
+def _settings(every: Settings) -> dict[str, Any]:
     """What two runs of one result have in common, seeds included."""
-    every = flat(config)
     return telling(every) | {key: every.get(key) for key in ("seed", "seeds")}
 
 
@@ -111,17 +109,21 @@ def wanted(cell: Cell) -> dict[str, Any]:
     schemas.register()
     with initialize_config_module("conf", version_base="1.3"):
         config = OmegaConf.to_container(compose("train", list(cell.overrides)), resolve=True)
-    return _settings(config)
+    assert isinstance(config, dict)
+    return _settings(flat({str(key): value for key, value in config.items()}))
 
 
 def is_done(folder: Path, settings: dict[str, Any]) -> bool:
-    """Whether the folder holds this result.  Raises BadCells if it holds another one."""
-    if not (folder / SUMMARY).is_file() or not (folder / CONFIG).is_file():
+    """Whether the folder holds this result.  Raises BadCells if it holds anything that must not be
+    replaced: another result, or no run at all."""
+    if not folder.exists():
         return False
-    status = folder / STATUS
-    if status.is_file() and json.loads(status.read_text(encoding="utf-8"))["status"] != "done":
+    try:
+        held = _settings(load(folder).settings)
+    except Unusable as error:
+        if not (folder / CONFIG).is_file() and any(folder.iterdir()):
+            raise BadCells(f"{folder}: expected a run or nothing ({error})") from error
         return False
-    held = _settings(yaml.safe_load((folder / CONFIG).read_text(encoding="utf-8")))
     for key in sorted(held.keys() | settings.keys()):
         if held.get(key) != settings.get(key):
             raise BadCells(
@@ -131,14 +133,21 @@ def is_done(folder: Path, settings: dict[str, Any]) -> bool:
     return True
 
 
+def _python(code: str, arguments: Sequence[str], log: Path | None = None) -> int:
+    """Exit status of a process of its own; log: where its output goes, if not to this one's."""
+    command = [sys.executable, "-c", code, *arguments]
+    if log is None:
+        return subprocess.run(command).returncode
+    with log.open("w", encoding="utf-8") as output:
+        return subprocess.run(command, stdout=output, stderr=output).returncode
+
+
 def _train(cell: Cell, folder: Path) -> int:
     shutil.rmtree(folder, ignore_errors=True)  # of a run that was interrupted
     folder.parent.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, "-c", TRAIN, *cell.overrides, "log.progress=false"]
     log = folder.with_name(f".{cell.name}.log")
-    with log.open("w", encoding="utf-8") as output:
-        place = f"hydra.run.dir={folder}"
-        status = subprocess.run([*command, place], stdout=output, stderr=output).returncode
+    place = f"hydra.run.dir={folder}"
+    status = _python(TRAIN, [*cell.overrides, "log.progress=false", place], log)
     print(f"{cell.title}: {'done' if status == 0 else f'exit status {status}, see {log}'}")
     return status
 
@@ -161,8 +170,7 @@ def report(cells: Sequence[Cell], output: Path) -> int:
         title = first.table.replace("_", " ").capitalize()
         where = ["--output", str(output / f"report_{first.table}"), "--title", title]
         how = ["--labels", "folders", "--baseline", first.name]
-        command = [sys.executable, "-c", REPORT, *map(str, folders), *where, *how]
-        failed += subprocess.run(command).returncode != 0
+        failed += _python(REPORT, [*map(str, folders), *where, *how]) != 0
     return failed
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,7 @@ from hydra.core.config_store import ConfigStore
 
 from benchmarks import ablation
 from benchmarks.ablation import CELLS, BadCells, Cell, is_done, read_cells, wanted
+from tests.app.conftest import call
 
 LINEAR = """
 seeds: 2
@@ -67,20 +68,42 @@ def test_refuses_bad_cells(before: str, after: str, why: str) -> None:
         read_cells(LINEAR.replace(before, after))
 
 
+class _OneByOne:
+    """In place of the pool of threads: a run in this process wants its signals."""
+
+    def __init__(self, _: int) -> None: ...
+
+    def __enter__(self) -> _OneByOne:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def map(self, function: Callable[[Cell], int], cells: list[Cell]) -> list[int]:
+        return [function(cell) for cell in cells]
+
+
+def _in_this_process(code: str, arguments: list[str], log: Path | None = None) -> int:
+    """What ``python -c CODE ARGUMENTS`` would do, without the seconds that it takes to start."""
+    name = "edtorch-train" if code == ablation.TRAIN else "edtorch-report"
+    return call(name, *arguments).status
+
+
 @pytest.mark.experiment
 def test_runs_what_is_not_there_and_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ablation, "ThreadPoolExecutor", _OneByOne)
+    monkeypatch.setattr(ablation, "_python", _in_this_process)
     Path("cells.yaml").write_text(LINEAR)
 
-    def call(*arguments: str) -> object:
+    def ablate(*arguments: str) -> object:
         monkeypatch.setattr(sys, "argv", ["ablation", "--cells", "cells.yaml", *arguments])
         with pytest.raises(SystemExit) as left:
             ablation.main()
         return left.value.code
 
-    assert call("--jobs", "2", "--keep", "kept") == 0
+    assert ablate("--keep", "kept") == 0
     assert "added/plain: to do" in capfd.readouterr().out
     (section,) = json.loads(Path("runs/ablation/report_added/report.json").read_text())["sections"]
     assert [group["label"] for group in section["groups"]] == ["plain", "larger_step"]
@@ -95,16 +118,22 @@ def test_runs_what_is_not_there_and_reports(
     status = json.loads((larger / "status.json").read_text())
     (larger / "status.json").write_text(json.dumps(status | {"status": "interrupted"}))
     stamp = (plain / "summary.json").stat().st_mtime_ns
-    assert call() == 0
+    assert ablate() == 0
     out = capfd.readouterr().out
     assert "added/plain: there" in out and "added/larger_step: to do" in out
     assert (plain / "summary.json").stat().st_mtime_ns == stamp
     assert json.loads((larger / "status.json").read_text())["status"] == "done"
-    assert call("--seeds", "3") == (
+    assert ablate("--seeds", "3") == (
         f"ablation: {plain}: holds a run with seeds=2, the cell has 3; remove it, or choose another"
         " --output"
     )
-    assert "--only=added/x: expected one of added/plain" in str(call("--only", "added/x"))
+    assert "--only=added/x: expected one of added/plain" in str(ablate("--only", "added/x"))
+
+
+def test_what_is_no_run_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(BadCells, match="expected a run or nothing"):
+        is_done(tmp_path, {})
 
 
 def test_an_empty_folder_is_not_done(tmp_path: Path) -> None:

@@ -16,11 +16,15 @@ SQUARED = {"_target_": "edtorch.fit.SquaredError", "rate": 10.0}
 
 
 def _sections(
-    folder: Path, baseline: str | None = None, *, by_folder: bool = False, **defaults: Any
+    folder: Path,
+    baseline: str | None = None,
+    *,
+    by_folder: bool = False,
+    defaults: dict[str, Any] | None = None,
 ) -> tuple[list[Section], list[LeftOut]]:
     runs, left_out = load_all([folder])
     assert left_out == []
-    return sections(runs, lambda _: defaults, baseline=baseline, by_folder=by_folder)
+    return sections(runs, lambda _: defaults or {}, baseline=baseline, by_folder=by_folder)
 
 
 def _labels(section: Section) -> list[str]:
@@ -116,7 +120,7 @@ class TestLabels:
         learners(tmp_path / "old", [5])
         learners(tmp_path / "new", [6], seed=1, unroll={"reading": "figure"})
         assert len(_sections(tmp_path)[0][0].groups) == 2
-        merged, _ = _sections(tmp_path, **{"unroll.reading": "figure"})
+        merged, _ = _sections(tmp_path, defaults={"unroll.reading": "figure"})
         assert len(merged[0].groups) == 1
 
 

@@ -54,7 +54,10 @@ def _edit(name: str, change: Callable[[dict[str, Any]], object]) -> Callable[[Pa
 
 
 def _replace(name: str, text: str) -> Callable[[Path], None]:
-    return lambda run: (run / name).write_text(text) and None
+    def replace(run: Path) -> None:
+        (run / name).write_text(text)
+
+    return replace
 
 
 def _status(text: str) -> Callable[[Path], None]:
