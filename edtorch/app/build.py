@@ -15,7 +15,12 @@ from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.compute import Compute, check_memory, plan, plan_inverse, uncompiled
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under, unknown_key
-from edtorch.app.inverse import build_controller, build_inverse_learner, has_inverse
+from edtorch.app.inverse import (
+    build_controller,
+    build_inverse_learner,
+    has_inverse,
+    inverse_path,
+)
 from edtorch.checkpoint import PolicyCard
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
@@ -359,7 +364,7 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
     indicator = compiled = None
     if has_inverse(config):
         learner = build_inverse_learner(config, sim, compute.dtype)
-        path = "inverse policy, its adjoint written out"
+        path = inverse_path(learner)
     else:
         forward = _build_forward(config, world, compute)
         learner, path = forward.learner, forward.path
