@@ -165,6 +165,15 @@ class RidgeConfig:
 
 
 @dataclass
+class DecayingFitConfig:
+    """``edtorch.decay.DecayingFit`` of a gradient rule."""
+
+    _target_: str = MISSING
+    rule: RateFitConfig = field(default_factory=RateFitConfig)
+    decay: float = MISSING
+
+
+@dataclass
 class NoInverseConfig:
     """A forward model and a policy of actions."""
 
@@ -409,6 +418,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "least_squares_schema": LeastSquaresConfig,
         "bayesian_schema": BayesianFitConfig,
         "ridge_schema": RidgeConfig,
+        "decaying_fit_schema": DecayingFitConfig,
     },
     "inverse": {
         "none_schema": NoInverseConfig,
