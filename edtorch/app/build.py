@@ -364,6 +364,7 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
     indicator = compiled = None
     if has_inverse(config):
         learner = build_inverse_learner(config, sim, compute.dtype)
+        check_memory(learner, world, config.seeds)
         path = inverse_path(learner)
     else:
         forward = _build_forward(config, world, compute)
