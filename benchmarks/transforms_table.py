@@ -12,27 +12,27 @@ import json
 from pathlib import Path
 from typing import Any
 
+from edtorch.report.tables import Table, as_markdown
+
 MARK = "<!-- transforms table -->"
 
 
 def markdown(results: dict[str, Any]) -> str:
     """A row per dimension and transform."""
-    lines = [
-        "| n | transform | mean | covariance | reward | value | value, ratio of medians | cost |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    header = "n|transform|mean|covariance|reward|value|value, ratio of medians|cost".split("|")
+    rows: list[tuple[str, ...]] = []
     for n, result in results.items():
         for name, row in result["transforms"].items():
             if name == "first":
                 continue
-            gains = " | ".join(f"{row['gain'][q]:.3g}" for q in ("mean", "cov", "reward", "value"))
+            gains = (f"{row['gain'][q]:.3g}" for q in ("mean", "cov", "reward", "value"))
             ratio, cost = row["ratio_of_medians"]["value"], row["cost"]
-            lines.append(f"| {n} | `{name}` | {gains} | {ratio:.3g} | {cost:.2f} |")
+            rows.append((n, f"`{name}`", *gains, f"{ratio:.3g}", f"{cost:.2f}"))
     ratios = ", ".join(
         f"{result['indicator_ratio']['median']:.2f} (n = {n})" for n, result in results.items()
     )
-    lines += ["", f"Value error estimate over true value error of `first`, median: {ratios}."]
-    return "\n".join(lines)
+    note = f"Value error estimate over true value error of `first`, median: {ratios}."
+    return as_markdown(Table("", tuple(header), tuple(rows), note))
 
 
 def main() -> None:

@@ -1,4 +1,8 @@
-"""Fresh episodes of finished policies: no exploration, no learning."""
+"""Fresh episodes of finished policies: no exploration, no learning.
+
+Where something lasts a learner's whole life (``sims.base.Lasting``), a policy is tried in the world
+in which its seed learned.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,10 @@ from torch import Tensor
 
 from edtorch.learner import Actor
 from edtorch.records import Episode
-from edtorch.streams import Purpose, Streams, stream_key
+from edtorch.streams import Purpose, Streams, learning_streams, stream_key
 from edtorch.types import Parameters, select
 from edtorch.world import World
-from sims.base import Outcome
+from sims.base import Lasting, Outcome
 
 Watch = Callable[[Tensor], None]
 """Is shown the sim's states ``[S episodes, k]`` after each tick; those of an episode that has ended
@@ -55,6 +59,16 @@ def evaluate_yardstick(
     )
 
 
+def _starts(world: World, seeds: Sequence[int], episodes: int, uniform: Tensor) -> Tensor:
+    """Start states ``[S episodes, k]`` from uniforms ``[S episodes, u]``."""
+    if not (isinstance(world.sim, Lasting) and world.sim.lasting):
+        return world.initial(uniform)
+    born = world.initial(learning_streams(world, seeds).at(0).uniform)
+    born = born.repeat_interleave(episodes, dim=0)
+    everybody = torch.ones(len(born), dtype=torch.bool, device=born.device)
+    return world.restart(born, everybody, uniform)
+
+
 def _run(
     act: Callable[[Tensor, Tensor], Tensor],
     world: World,
@@ -66,7 +80,7 @@ def _run(
     streams = Streams(keys, world.uniforms, 0, world.dtype, world.device)
     finished: list[list[Episode]] = [[] for _ in seeds]
     with torch.inference_mode():
-        start = state = world.initial(streams.at(0).uniform)
+        start = state = _starts(world, seeds, episodes, streams.at(0).uniform)
         observation = world.observe(state)
         active = torch.ones(len(keys), dtype=torch.bool, device=world.device)
         clock = torch.zeros((), dtype=torch.int64, device=world.device)
@@ -77,7 +91,7 @@ def _run(
             state = select(active, world.step(state, action, draw.uniform), state)
             if watch is not None:
                 watch(state)
-            observation = world.observe(state)
+            observation = world.observe(state, observation)
             outcome = world.outcome(state, clock)
             ended = active & (outcome != int(Outcome.RUNNING))
             if bool(ended.any()):

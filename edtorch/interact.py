@@ -14,7 +14,8 @@ from torch import Tensor
 
 from edtorch.learner import AnyLearner
 from edtorch.records import Budget, Episode, Snapshot
-from edtorch.streams import Purpose, Streams, stream_key
+from edtorch.schedule import ALWAYS, Schedule
+from edtorch.streams import Streams, learning_streams
 from edtorch.tick import Experience, Population, Tick
 from edtorch.trail import Trail
 from edtorch.types import LearnerState, replace
@@ -97,7 +98,8 @@ class Eager:
         for now in range(clock + 1, clock + ticks + 1):
             draw = self._streams.at(now)
             before = self.population.worlds
-            here, outcome = self._tick.live(self.population, draw, now)
+            improve = self._tick.schedule.improves(now)
+            here, outcome = self._tick.live(self.population, draw, now, improve=improve)
             world = here.worlds.world
             ended = bool(outcome.any())
             if ended:
@@ -135,6 +137,7 @@ class Training:
         seeds: Sequence[int],
         budget: Budget,
         trail_stride: int = 10,
+        schedule: Schedule = ALWAYS,
     ) -> None:
         self.learner = learner
         self.world = world
@@ -142,7 +145,7 @@ class Training:
         self.budget = budget
         self.clock = 0
         self.episodes: list[Episode] = []
-        self.tick = Tick(learner, world, budget.episodes, budget.rides)
+        self.tick = Tick(learner, world, budget.episodes, budget.rides, schedule)
         streams = learning_streams(world, self.seeds)
         first = self.tick.first(learner.initial(self.seeds), streams.at(0))
         self.stage: Stage = Eager(self.tick, first, streams)
@@ -266,14 +269,8 @@ class Training:
             falls=here.falls.tolist(),
             rides=here.rides.tolist(),
             episode_seconds=[t * self.world.dt for t in (self.clock - here.begun).tolist()],
-            value=(sums.value / sums.ticks).tolist(),
-            gradient=(sums.gradient / sums.ticks).tolist(),
+            value=(sums.value / sums.updates).tolist(),
+            gradient=(sums.gradient / sums.updates).tolist(),
             error=(sums.error / sums.ticks).tolist(),
             policy_norm=torch.stack(squares).sum(0).sqrt().tolist(),
         )
-
-
-def learning_streams(world: World, seeds: Sequence[int]) -> Streams:
-    """What the learners of these seeds draw."""
-    keys = [stream_key(seed, Purpose.LEARNING) for seed in seeds]
-    return Streams(keys, world.uniforms, len(world.spec.action), world.dtype, world.device)

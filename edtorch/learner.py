@@ -15,10 +15,12 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from edtorch.annealing import Annealed
+from edtorch.command import CommandLimit
 from edtorch.fit import Fit
 from edtorch.models import Model
 from edtorch.noise import Noise
-from edtorch.policies import LinearPolicy, explore
+from edtorch.policies import LinearPolicy, bounded, explore
 from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
 from edtorch.unroll import ValuePath
 from edtorch.update import Step, gradient_norm
@@ -71,8 +73,11 @@ class AnyLearner(Protocol):
         """The action with exploration, ``[B, m]``, scaled; normal ``[B, m]`` standard normal."""
         ...
 
-    def step(self, state: LearnerState, transition: Transition) -> tuple[LearnerState, Metrics]:
-        """What is learned from one transition of each learner."""
+    def step(
+        self, state: LearnerState, transition: Transition, *, improve: bool = True
+    ) -> tuple[LearnerState, Metrics]:
+        """What is learned from one transition of each learner; of the model alone unless
+        ``improve``."""
         ...
 
 
@@ -101,8 +106,9 @@ def _where(mask: Tensor, yes: Parameters, no: Parameters) -> Parameters:
 class Learner:
     """A population of learners with one configuration; what they know is in a ``LearnerState``.
 
-    exploration: standard deviation of the Gaussian added to the policy's action, scaled units;
-    noise: rule for nu~, None where the transform does not use it.
+    exploration: standard deviation of the Gaussian added to the policy's action, scaled units, or
+    that as a function of the age; noise: rule for nu~, None where nothing uses it; command: rule
+    for what model and policy see of an observation, None for all of it.
     """
 
     model: Model
@@ -111,11 +117,14 @@ class Learner:
     noise: Noise | None
     value: ValuePath
     step_rule: Step
-    exploration: float
+    exploration: float | Annealed
+    command: CommandLimit | None = None
 
     def __post_init__(self) -> None:
-        if not self.exploration >= 0:
-            raise ValueError(f"exploration={self.exploration}: expected a number >= 0")
+        given = self.exploration
+        least = min(given.start, given.final) if isinstance(given, Annealed) else given
+        if not least >= 0:
+            raise ValueError(f"exploration={least}: expected a number >= 0")
 
     def initial(self, seeds: Sequence[int]) -> LearnerState:
         """Learners that know nothing yet, one per seed."""
@@ -123,14 +132,17 @@ class Learner:
         model = population(self.model, size)
         device = model["weight"].device
         policy = population(self.policy, size)
+        noise = {} if self.noise is None else self.noise.initial(model["weight"])
+        tick = torch.zeros(size, dtype=torch.int64, device=device)
         return LearnerState(
             model=model,
             policy=policy,
             fit=self.fit.initial(model["weight"]),
-            noise={} if self.noise is None else self.noise.initial(model["weight"]),
+            noise=noise,
+            limit=self._limit(model, policy, noise, tick),
             step=self.step_rule.initial(policy),
             seed=torch.tensor(list(seeds), dtype=torch.int64, device=device),
-            tick=torch.zeros(size, dtype=torch.int64, device=device),
+            tick=tick,
             sound_ticks=torch.zeros(size, dtype=torch.int64, device=device),
         )
 
@@ -139,26 +151,40 @@ class Learner:
         """Whether torch's differentiation must be at work."""
         return self.value.needs_autograd
 
+    def _limit(
+        self, model: Parameters, policy: Parameters, noise: Parameters, ticks: Tensor
+    ) -> Parameters:
+        """What bounds an observation, by the name under which a policy knows it."""
+        if self.command is None:
+            return {}
+        return {"limit": self.command(model, policy, noise, ticks)}
+
     def acting(self, state: LearnerState) -> Parameters:
         """What ``policy.action`` needs of a state."""
-        return state.policy
+        return state.policy | state.limit
 
     def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:
         """pi(s) plus exploration, ``[B, m]`` in scaled units; normal ``[B, m]`` standard normal."""
-        return explore(self.policy.action(state.policy, observation), normal, self.exploration)
+        deviation = self.exploration
+        if isinstance(deviation, Annealed):
+            deviation = deviation(state.tick, observation.dtype).unsqueeze(-1)
+        return explore(self.policy.action(self.acting(state), observation), normal, deviation)
 
-    def step(self, state: LearnerState, transition: Transition) -> tuple[LearnerState, Metrics]:
-        """Steps 1-7 of Fig. 1 after one transition of each learner.
+    def step(
+        self, state: LearnerState, transition: Transition, *, improve: bool = True
+    ) -> tuple[LearnerState, Metrics]:
+        """Steps 1-7 of Fig. 1 after one transition of each learner; 1 and 2 unless ``improve``.
 
         Learners whose transition is not ``valid`` are left as they are.  An update that would not
         be finite is skipped: see ``Check``.
         """
         unit = self.model.time_unit(transition.dt)
         sound = _finite(transition.next_state)
+        seen = self._seen(state, transition)
 
         # 1, 2: the model and its noise.
-        target = self.model.target(transition)
-        phi = self.model.regressor(transition)
+        target = self.model.target(seen)
+        phi = self.model.regressor(seen)
         old = state.model["weight"]
         fitted = self.fit.update(old, state.fit, phi, target, unit)
         noise = state.noise
@@ -167,28 +193,42 @@ class Learner:
             noise = self.noise.update(noise, squared, phi, state.fit, unit)
         fit_ok = _finite(fitted.weight, *fitted.memory.values(), *noise.values())
         learn = transition.valid & fit_ok
-        model = state.model | {"weight": select(learn, fitted.weight, old)}
-        noise = _where(learn, noise, state.noise)
+        unbroken = fit_ok & (state.sound_ticks == state.tick) & transition.valid
+        learned = replace(
+            state,
+            model=state.model | {"weight": select(learn, fitted.weight, old)},
+            fit=_where(learn, fitted.memory, state.fit),
+            noise=_where(learn, noise, state.noise),
+            tick=state.tick + transition.valid,
+        )
+        error = fitted.residual.abs().mean(-1)
+        if not improve:
+            learned = replace(learned, sound_ticks=state.sound_ticks + unbroken)
+            finite = torch.stack([sound, fit_ok, torch.ones_like(sound)])
+            return learned, Metrics(None, None, error, finite, None)
 
         # 3-6: value and gradient from where the transition ended; 7: the policy.
-        here = self.value(model, state.policy, noise, transition.next_state)
+        here = self.value(learned.model, state.policy, learned.noise, seen.next_state)
         size = gradient_norm(here.gradient)
         value_ok = torch.isfinite(here.value + size)
         policy, step = self.step_rule(state.policy, here.gradient, state.step, unit)
         climb = transition.valid & value_ok
-
-        # The count of sound ticks stands still from the first tick that was not.
-        unbroken = value_ok & fit_ok & (state.sound_ticks == state.tick) & transition.valid
         learned = replace(
-            state,
-            model=model,
+            learned,
             policy=_where(climb, policy, state.policy),
-            fit=_where(learn, fitted.memory, state.fit),
-            noise=noise,
             step=_where(climb, step, state.step),
-            tick=state.tick + transition.valid,
-            sound_ticks=state.sound_ticks + unbroken,
+            # The count of sound ticks stands still from the first tick that was not.
+            sound_ticks=state.sound_ticks + (unbroken & value_ok),
         )
-        error = fitted.residual.abs().mean(-1)
+        limit = self._limit(learned.model, learned.policy, learned.noise, learned.tick)
+        learned = replace(learned, limit=_where(transition.valid, limit, state.limit))
         finite = torch.stack([sound, fit_ok, value_ok])
         return learned, Metrics(here.value, size, error, finite, here.first_floored)
+
+    def _seen(self, state: LearnerState, transition: Transition) -> Transition:
+        """The transition as the model sees it: as far as it went, from within the bounds."""
+        if not state.limit:
+            return transition
+        start = bounded(transition.state, state.limit["limit"])
+        end = start + self.model.displacement(transition)
+        return replace(transition, state=start, next_state=end)

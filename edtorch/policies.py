@@ -41,7 +41,14 @@ class LinearPolicy(nn.Module):
         return self.action({"weight": self.weight}, state)
 
     def action(self, parameters: Parameters, state: Tensor) -> Tensor:
-        """``forward`` with these parameters; in the loop, ``functional_call`` would cost more."""
+        """``forward`` with these parameters; in the loop, ``functional_call`` would cost more.
+
+        A ``limit`` ``[*batch, n]`` among them bounds what is seen of the state
+        (``edtorch.command``).
+        """
+        limit = parameters.get("limit")
+        if limit is not None:
+            state = bounded(state, limit)
         return matvec(parameters["weight"], self.features(state))
 
     def linear_gain(self, weight: Tensor) -> LinearGain | None:
@@ -63,6 +70,12 @@ class SquashedPolicy(LinearPolicy):
         return None
 
 
-def explore(action: Tensor, normal: Tensor, deviation: float) -> Tensor:
-    """action + N(0, deviation^2) (section 4), the deviation in scaled units; normal like action."""
+def bounded(state: Tensor, limit: Tensor) -> Tensor:
+    """The state ``[*batch, n]`` with each component within ``limit`` ``[*batch, n]`` of zero."""
+    return torch.minimum(torch.maximum(state, -limit), limit)
+
+
+def explore(action: Tensor, normal: Tensor, deviation: float | Tensor) -> Tensor:
+    """action + N(0, deviation^2) (section 4), the deviation in scaled units, a number or one for
+    each learner ``[*batch, 1]``; normal like action."""
     return action + deviation * normal

@@ -16,7 +16,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from torch.utils import _pytree as pytree
 from edtorch.compilation import CannotCompile, check_compiler
 from edtorch.innermost import Turned, first, stored
 from edtorch.learner import Learner
+from edtorch.schedule import ALWAYS
 from edtorch.streams import Draw
 from edtorch.tick import Population, Tick
 
@@ -38,14 +39,14 @@ OPTIONS = {"memory_planning": True, "cpp.threads": 1}
 class _Graph(torch.nn.Module):
     """One tick of a tile as a function of flat lists of tensors stored batch last."""
 
-    def __init__(self, tick: Tick, spec: pytree.TreeSpec) -> None:
+    def __init__(self, tick: Tick, spec: pytree.TreeSpec, *, improve: bool) -> None:
         super().__init__()
-        self.tick, self.spec = tick, spec
+        self.tick, self.spec, self.improve = tick, spec, improve
 
     def forward(self, leaves: list[Tensor], uniform: Tensor, normal: Tensor, clock: Tensor) -> Any:
         here: Population = pytree.tree_unflatten([first(leaf) for leaf in leaves], self.spec)
         draw = Draw(first(uniform), first(normal))
-        here, outcome = self.tick.live(here, draw, clock)
+        here, outcome = self.tick.live(here, draw, clock, improve=self.improve)
         world = here.worlds.world
         here = self.tick.turn(here, outcome, draw, clock)
         return [stored(leaf) for leaf in pytree.tree_leaves(here)], outcome, stored(world)
@@ -177,8 +178,9 @@ def compile_graph(
     return Program(model.loader.boxed_run, size, seconds)
 
 
-def compile_tick(tick: Tick, tile: Population, draw: Draw) -> Program:
-    """The program of ``tick`` for populations of the size of ``tile``.
+def compile_tick(tick: Tick, tile: Population, draw: Draw, *, improve: bool) -> Program:
+    """The program of ``tick`` for populations of the size of ``tile``, one that improves policies
+    or one that leaves them as they are.
 
     It takes the leaves of a ``Population``, uniform ``[u, B]``, normal ``[m, B]`` and the number of
     the tick (int64 ``[]``), and returns the new leaves, the outcomes ``[B]`` and the worlds
@@ -196,4 +198,7 @@ def compile_tick(tick: Tick, tile: Population, draw: Draw) -> Program:
         clock,
     )
     parts = (tick.world.sim, learner.model.features, learner.policy, learner.fit, learner.step_rule)
-    return compile_graph(_Graph(tick, spec), tick, parts, arguments, leaves[0].shape[0])
+    graph = _Graph(tick, spec, improve=improve)
+    # When policies are improved is not the program's business.
+    function = (replace(tick, schedule=ALWAYS), improve)
+    return compile_graph(graph, function, parts, arguments, leaves[0].shape[0])

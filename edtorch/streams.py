@@ -16,6 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.world import World
+
 BLOCK = 512
 """Ticks drawn at once.  Part of the stream's definition: another value gives other numbers."""
 
@@ -90,3 +92,9 @@ class Streams:
         """``[B, BLOCK, k]`` as it is stored: ``[BLOCK, k, B]``, the population innermost."""
         turned = torch.from_numpy(numbers).to(self._dtype).permute(1, 2, 0).contiguous()
         return turned.to(self._device)
+
+
+def learning_streams(world: World, seeds: Sequence[int]) -> Streams:
+    """What the learners of these seeds draw."""
+    keys = [stream_key(seed, Purpose.LEARNING) for seed in seeds]
+    return Streams(keys, world.uniforms, len(world.spec.action), world.dtype, world.device)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from edtorch.learner import AnyLearner, Check
+from edtorch.schedule import ALWAYS, Schedule
 from edtorch.streams import Draw
 from edtorch.types import LearnerState, Metrics, Transition, replace, select, tree_dataclass
 from edtorch.world import World
@@ -41,13 +42,15 @@ class Experience:
 class Tally:
     """What ``Metrics`` add up to.
 
-    value, gradient, error: sums over ``ticks`` ticks, all float64 ``[B]``; finite ``[B, 3]``:
+    value, gradient: sums over ``updates`` of the policy, error: over ``ticks``, all float64
+    ``[B]``; finite ``[B, 3]``:
     whether everything has been, by place (``edtorch.learner.Check``); first_floored ``[B]`` int64:
     the step of an unroll from which on a covariance first had to be floored, -1 if none had.
     """
 
     value: Tensor
     gradient: Tensor
+    updates: Tensor
     error: Tensor
     ticks: Tensor
     finite: Tensor
@@ -58,7 +61,7 @@ class Tally:
         """Nothing yet."""
         zero = torch.zeros(size, dtype=torch.float64, device=device)
         finite = torch.ones(size, len(Check), dtype=torch.bool, device=device)
-        return Tally(zero, zero, zero, zero, finite, torch.full((size,), -1, device=device))
+        return Tally(zero, zero, zero, zero, zero, finite, torch.full((size,), -1, device=device))
 
     def add(self, metrics: Metrics, active: Tensor) -> Tally:
         """With one more tick of the active learners ``[B]``."""
@@ -66,9 +69,15 @@ class Tally:
         if metrics.first_floored is not None:
             fresh = active & (floored < 0)
             floored = torch.where(fresh, metrics.first_floored, floored)
+        value, gradient, updates = self.value, self.gradient, self.updates
+        if metrics.value is not None and metrics.gradient is not None:
+            value = value.addcmul(metrics.value, active)
+            gradient = gradient.addcmul(metrics.gradient, active)
+            updates = updates + active
         return Tally(
-            value=self.value.addcmul(metrics.value, active),
-            gradient=self.gradient.addcmul(metrics.gradient, active),
+            value=value,
+            gradient=gradient,
+            updates=updates,
             error=self.error.addcmul(metrics.error, active),
             ticks=self.ticks + active,
             finite=self.finite & (metrics.finite | ~active).movedim(0, -1),
@@ -95,13 +104,15 @@ class Population:
 class Tick:
     """What all ticks of a training have in common.
 
-    most_episodes, most_rides: after which a learner is done, None for no limit.
+    most_episodes, most_rides: after which a learner is done, None for no limit; schedule: at which
+    ticks policies are improved.
     """
 
     learner: AnyLearner
     world: World
     most_episodes: int | None = None
     most_rides: int | None = None
+    schedule: Schedule = ALWAYS
 
     def first(self, learners: LearnerState, draw: Draw) -> Population:
         """Everybody at the start of a first episode; draw: of tick 0."""
@@ -120,21 +131,24 @@ class Tick:
         )
         return Population(learners, worlds, Tally.zero(size, device))
 
-    def live(self, here: Population, draw: Draw, clock: int | Tensor) -> tuple[Population, Tensor]:
+    def live(
+        self, here: Population, draw: Draw, clock: int | Tensor, *, improve: bool
+    ) -> tuple[Population, Tensor]:
         """Act, let the worlds step, learn from it.
 
-        clock: number of this tick, from 1.  Returns the population and how its episodes stand, an
-        ``Outcome`` as int64 ``[B]``, RUNNING for learners that are done.
+        clock: number of this tick, from 1; improve: what ``schedule`` says of it.  Returns the
+        population and how its episodes stand, an ``Outcome`` as int64 ``[B]``, RUNNING for learners
+        that are done.
         """
         worlds, active = here.worlds, here.worlds.active
         action = self.world.clip(self.learner.act(here.learners, worlds.observation, draw.normal))
         state = self.world.step(worlds.world, action, draw.uniform)
-        observation = self.world.observe(state)
+        observation = self.world.observe(state, worlds.observation)
         seconds = self.world.seconds
         applied = self.world.applied(state, action)
         valid = self.world.stepped(state, active)
         transition = Transition(worlds.observation, applied, observation, seconds, valid)
-        learners, metrics = self.learner.step(here.learners, transition)
+        learners, metrics = self.learner.step(here.learners, transition, improve=improve)
         state = select(active, state, worlds.world)
         observation = select(active, observation, worlds.observation)
         outcome = self.world.outcome(state, clock - worlds.begun)

@@ -10,9 +10,10 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from edtorch.innermost import first, last
-from edtorch.interact import Moment, Note, learning_streams
+from edtorch.interact import Moment, Note
 from edtorch.program import Program, compile_tick
-from edtorch.streams import Streams
+from edtorch.schedule import ALWAYS
+from edtorch.streams import Streams, learning_streams
 from edtorch.tick import Population, Tick
 from edtorch.types import replace
 from sims.base import Outcome
@@ -69,11 +70,26 @@ class Tiles:
             streams = learning_streams(tick.world, own + own[-1:] * (self._size - len(own)))
             self._tiles.append(_Tile(rows, streams, [], done=False))
         sample = _padded(population, self._tiles[0].rows, self._size)
-        self.program: Program = compile_tick(tick, sample, self._tiles[0].streams.at(0))
+        self._schedule, draw = tick.schedule, self._tiles[0].streams.at(0)
+        kinds = {True} if self._schedule == ALWAYS else {True, False}
+        self._programs: dict[bool, Program] = {
+            improve: compile_tick(tick, sample, draw, improve=improve) for improve in kinds
+        }
+        """By whether policies are improved."""
         self._spec = pytree.tree_flatten(sample)[1]
         places = list(range(self._spec.num_leaves))
         self._place: Population = pytree.tree_unflatten(places, self._spec)
         self.replace(population)
+
+    @property
+    def size(self) -> int:
+        """Learners of a tile."""
+        return self._size
+
+    @property
+    def was_compiled(self) -> bool:
+        """Whether anything had to be compiled; if not, all was on disk."""
+        return any(program.seconds is not None for program in self._programs.values())
 
     @property
     def population(self) -> Population:
@@ -114,7 +130,7 @@ class Tiles:
 
     def _live(self, tile: _Tile, clock: int, ticks: int, stride: int) -> list[Moment]:
         """Run a tile for a while; returns what is worth a note."""
-        run, width = self.program.run, len(tile.leaves)
+        width = len(tile.leaves)
         worlds = self._place.worlds
         start, begun = _at(worlds.start), _at(worlds.begun)
         episodes, active = _at(worlds.episodes), _at(worlds.active)
@@ -123,7 +139,8 @@ class Tiles:
         for offset in range(ticks):
             uniform, normal = tile.streams.stored(clock + offset + 1)
             before = leaves
-            found = run([*leaves, uniform, normal, clocks[offset]])
+            improve = self._schedule.improves(clock + offset + 1)
+            found = self._programs[improve].run([*leaves, uniform, normal, clocks[offset]])
             leaves = found[:width]
             # All but these are let go at once, so that their memory is used again.
             moments.append(

@@ -75,7 +75,8 @@ class LearnerState:
     """Everything that a population of B learners knows; saving it is saving them.
 
     model, policy: parameters with leading ``[B]``; fit: the estimator's own tensors;
-    noise: the memory of the rule for nu~; step: the policy step rule's own tensors; seed ``[B]``
+    noise: the memory of the rule for nu~; limit: the bounds of what is seen of an observation, if
+    there are any (``edtorch.command``); step: the policy step rule's own tensors; seed ``[B]``
     int64 and tick ``[B]`` int64 (together the state of the random stream, ``edtorch.streams``);
     sound_ticks ``[B]`` int64: ticks before the first one whose numbers were not all finite.
     """
@@ -84,6 +85,7 @@ class LearnerState:
     policy: Parameters
     fit: Parameters
     noise: Parameters
+    limit: Parameters
     step: Parameters
     seed: Tensor
     tick: Tensor
@@ -94,13 +96,13 @@ class LearnerState:
 class Metrics:
     """What one learner step reports, each ``[B]`` but for the last.
 
-    value: V~ before the step; gradient: |dV~/dtheta|; error: mean over state components of
-    |target - prediction| before the fit; finite ``[3, B]``: by place, see
-    ``edtorch.learner.Check``; first_floored: as in ``Trajectory``, None where nothing can be.
+    value: V~ before the step; gradient: |dV~/dtheta|; both None where the policy rested; error:
+    mean over state components of |target - prediction| before the fit; finite ``[3, B]``: by place,
+    see ``edtorch.learner.Check``; first_floored: as in ``Trajectory``, None where nothing can be.
     """
 
-    value: Tensor
-    gradient: Tensor
+    value: Tensor | None
+    gradient: Tensor | None
     error: Tensor
     finite: Tensor
     first_floored: Tensor | None

@@ -253,3 +253,25 @@ class Generic:
 
         gradient, (_, (value, first_floored)) = grad_and_value(total, has_aux=True)(policy)
         return ValueGradient(value, gradient, first_floored)
+
+
+@dataclass(frozen=True)
+class FromOrigin:
+    """Another path, from the origin of the state space instead of the state of the moment.
+
+    With a covariance to start from, this unrolls a belief over all states near the goal: what is
+    learned at each tick is good for every one of them, and not for the present one alone.
+    """
+
+    path: ValuePath
+
+    @property
+    def needs_autograd(self) -> bool:
+        """Whether torch's differentiation must be at work."""
+        return self.path.needs_autograd
+
+    def __call__(
+        self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
+    ) -> ValueGradient:
+        """See ``ValuePath``; of state only the shape counts."""
+        return self.path(model, policy, noise, torch.zeros_like(state))

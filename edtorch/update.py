@@ -120,3 +120,18 @@ class PlainStep:
         """One step of gradient ascent."""
         norm = gradient_norm(gradient)
         return _ascend(policy, gradient, self.alpha * unit * torch.ones_like(norm)), memory
+
+
+@dataclass(frozen=True)
+class FullStep:
+    """theta += g, for directions that lead to the very place: ``edtorch.closed_form.regulator``."""
+
+    def initial(self, policy: Parameters) -> Parameters:
+        """No memory."""
+        return {}
+
+    def __call__(
+        self, policy: Parameters, gradient: Parameters, memory: Parameters, unit: Tensor
+    ) -> tuple[Parameters, Parameters]:
+        """The whole way."""
+        return {name: theta + gradient[name] for name, theta in policy.items()}, memory

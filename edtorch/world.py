@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -13,6 +15,10 @@ class World:
 
     The sim itself computes in float64: positions of a kilometre and angles of a microradian meet in
     it, whatever precision the learner works in.
+
+    unwrap: how far (rad) beyond half a turn an angle is counted on before it is wrapped again; None
+    wraps it always.  A policy linear in a wrapped angle reverses its command behind the back, where
+    half a turn to the left becomes one to the right.
     """
 
     def __init__(
@@ -20,7 +26,10 @@ class World:
         sim: Sim,
         dtype: torch.dtype = torch.float64,
         device: torch.device | None = None,
+        unwrap: float | None = None,
     ) -> None:
+        if unwrap is not None and not 0 <= unwrap < math.pi:
+            raise ValueError(f"unwrap={unwrap}: expected a number in [0, pi) (rad), or null")
         self.sim = sim
         self.spec = sim.spec
         self.dtype = dtype
@@ -36,6 +45,14 @@ class World:
         self._low = self._tensor([q.low / q.scale for q in action])
         self._high = self._tensor([q.high / q.scale for q in action])
         self.period = self._tensor([q.period / q.scale for q in state])
+        self._farthest = None
+        if unwrap is not None and any(q.period for q in state):
+            farthest = [
+                (0.5 + unwrap / (2 * math.pi)) * q.period / q.scale if q.period else 0.0
+                for q in state
+            ]
+            self._farthest = self._tensor(farthest)
+            self._turns = self._tensor([q.scale / q.period if q.period else 0.0 for q in state])
 
     def _tensor(self, numbers: float | list[float]) -> Tensor:
         return torch.tensor(numbers, dtype=self.dtype, device=self.device)
@@ -54,9 +71,15 @@ class World:
         reset = uniform[..., self.spec.disturbance_dim :].to(torch.float64)
         return self.sim.restart(state, mask, reset)
 
-    def observe(self, state: Tensor) -> Tensor:
-        """Scaled observation ``[B, n]``."""
-        return (self.sim.observe(state) / self._state_scale).to(self.dtype)
+    def observe(self, state: Tensor, before: Tensor | None = None) -> Tensor:
+        """Scaled observation ``[B, n]``; before ``[B, n]``: the one that angles are counted on
+        from, None at the start of an episode."""
+        wrapped = (self.sim.observe(state) / self._state_scale).to(self.dtype)
+        if before is None or self._farthest is None:
+            return wrapped
+        turns = torch.round((before - wrapped) * self._turns)
+        counted = wrapped + turns * self.period
+        return torch.where(counted.abs() <= self._farthest, counted, wrapped)
 
     def clip(self, action: Tensor) -> Tensor:
         """The scaled action as it acts: within its bounds where the domain clips."""

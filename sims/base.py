@@ -37,7 +37,8 @@ class Quantity:
 
     ``scale`` divides it on its way to a learner, which sees numbers of order one; ``period`` is
     that of an angle that wraps (2 pi), 0 for anything else; ``low`` and ``high`` bound it (an
-    action is clipped to them where ``Spec.clip_action`` says so).  All in ``unit``.  ``rate_of``
+    action is clipped to them where ``Spec.clip_action`` says so); an episode fails where a
+    component of the state is farther than ``limit`` from zero.  All in ``unit``.  ``rate_of``
     names the component whose time derivative this one is, if one is.
     """
 
@@ -48,6 +49,7 @@ class Quantity:
     high: float = float("inf")
     period: float = 0.0
     rate_of: str = ""
+    limit: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,18 @@ class Fallible(Protocol):
 
     def stepped(self, state: Tensor) -> Tensor:
         """Whether the step to ``state`` was one, bool ``[*batch]``."""
+        ...
+
+
+@runtime_checkable
+class Lasting(Protocol):
+    """A sim of which something lasts a learner's whole life, from its first episode on: constants
+    drawn for it, a clock.  ``restart`` leaves that as it is, and a new start depends on the state
+    before it through that alone."""
+
+    @property
+    def lasting(self) -> tuple[int, ...]:
+        """Which components of the full state last; none: all of a new start is drawn."""
         ...
 
 

@@ -62,6 +62,21 @@ def shortest_time(
     is met before the arc ends, the time straight to its edge stands in: a bound too, if a loose
     one.  ``handlebar`` is that of ``steady_handlebar``, if it is known already.
     """
+    length = shortest_length(
+        start, goal=goal, goal_radius=goal_radius, physics=physics, handlebar=handlebar
+    )
+    return length / physics.v
+
+
+def shortest_length(
+    start: Tensor,
+    *,
+    goal: tuple[float, float] = (1000.0, 0.0),
+    goal_radius: float = 10.0,
+    physics: Physics = RANDLOV,
+    handlebar: Tensor | None = None,
+) -> Tensor:
+    """Metres ``[*batch]`` of that way; arguments as those of ``shortest_time``."""
     components = start.movedim(-1, 0).contiguous()
     psi, x, y = components[5], components[6], components[7]
     if handlebar is None:
@@ -84,7 +99,7 @@ def shortest_time(
     arc = torch.where(arc < -1e-6, arc + 2 * math.pi, arc.clamp(min=0.0))
     turning = arc * radius + straight - goal_radius
     direct = (distance - goal_radius).clamp(min=0.0)
-    return torch.where(straight >= goal_radius, turning, direct) / physics.v
+    return torch.where(straight >= goal_radius, turning, direct)
 
 
 def _float64(value: float | Tensor) -> Tensor:

@@ -63,12 +63,17 @@ class Physics:
     """The handlebar's stop (80 degrees, in the digits of the C program), rad."""
     omega_max: Scalar = math.pi / 15
     """The lean beyond which the bicycle has fallen (12 degrees), rad."""
+    true_precession: bool = False
+    """Whether the front wheel, falling to the left, turns to the left, as gyroscopes do; in the C
+    program it turns to the right."""
 
     def __post_init__(self) -> None:
         """Refuse constants that are not above 0."""
         for constant in fields(self):
             value = getattr(self, constant.name)
-            if not isinstance(value, Tensor) and not (math.isfinite(value) and value > 0):
+            if isinstance(value, bool | Tensor):
+                continue
+            if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{constant.name}={value}: expected a finite number above 0")
 
     @property
@@ -152,25 +157,32 @@ def step(
     physics: Physics = RANDLOV,
     integrate: Integrator = semi_implicit,
     dt: float = 0.01,
+    side_force: Tensor | None = None,
 ) -> Tensor:
     r"""The state ``[*batch, 10]`` of the bicycle ``dt`` seconds later.
 
     .. math::
         I_B \ddot\omega &= h M g \sin\varphi - \cos\varphi\,[I_{dc} \dot\sigma \dot\theta
-          + \mathrm{sign}(\theta) v^2 (M_d r (k_f + k_b) + M h k_{CM})] \\
+          + \mathrm{sign}(\theta) v^2 (M_d r (k_f + k_b) + M h k_{CM}) - h F] \\
         I_{dl} \ddot\theta &= T - I_{dv} \dot\omega \dot\sigma
 
     with :math:`\varphi = \omega + \arctan((d + w) / h)` and the inverse radii
     :math:`k_f = |\sin\theta| / l`, :math:`k_b = |\tan\theta| / l`,
     :math:`k_{CM} = ((l - c)^2 + l^2 / \tan^2\theta)^{-1/2}` of the paths of the tyres and of the
     centre of mass.  Both gyroscopic terms carry a minus sign, as in the C program and all its
-    ports, though the second should be a plus: with it the bicycle stands 2.96 s untouched instead
-    of 1.69 s.
+    ports, though the second should be a plus, for gyroscopes do no work: with it
+    (``physics.true_precession``) the bicycle stands 2.96 s untouched instead of 1.69 s.
+
+    :math:`F` is the wind.  The centre of mass lies h sin(phi) to the left of the line of the tyres
+    and h cos(phi) above it, so that a level force to the left does the work F d(h sin(phi)) and has
+    the moment F h cos(phi) about that line, a plus: it throws the bicycle to the left.  The tyres
+    do not slip, and it has no moment about the steering axis.
 
     Arguments: ``state`` ``[*batch, 10]`` (order ``STATE``, abs(theta) below pi), ``action``
     ``[*batch, 2]`` (torque T on the handlebar in N m, displacement d of the rider in m: taken as
-    they are, without clipping), ``disturbance`` ``[*batch]`` (w, added to d, in m).  Nothing ends
-    here: a bicycle that lies flat goes on turning about its tyres.
+    they are, without clipping), ``disturbance`` ``[*batch]`` (w, added to d, in m), ``side_force``
+    ``[*batch]`` (F, level and at right angles to the frame's direction, in N, positive to the left;
+    None for no wind).  Nothing ends here: a bicycle that lies flat goes on turning about its tyres.
 
     Float64 is meant; in float32 it runs, but a position a kilometre away is good to 0.1 mm only,
     too coarse for headings.  On the CPU an element of a batch comes out with the same digits as
@@ -195,8 +207,13 @@ def step(
     )
     gyroscopic = theta_dot * (p.I_d * p.sigma_dot / inertia)
     phi = omega + ((displacement + disturbance) / p.h).atan()
-    omega_ddot = phi.sin() * (p.h * p.M * p.g / inertia) - phi.cos() * (gyroscopic + centrifugal)
-    theta_ddot = torque / (0.5 * p.I_d) - omega_dot * (3 * p.sigma_dot)  # I_dv / I_dl = 3
+    level = gyroscopic + centrifugal
+    if side_force is not None:
+        level = level - side_force * (p.h / inertia)
+    omega_ddot = phi.sin() * (p.h * p.M * p.g / inertia) - phi.cos() * level
+    precession = omega_dot * (3 * p.sigma_dot)  # I_dv / I_dl = 3
+    spun = torque / (0.5 * p.I_d)
+    theta_ddot = spun + precession if p.true_precession else spun - precession
 
     theta, theta_dot, omega, omega_dot = integrate(
         theta, theta_dot, theta_ddot, omega, omega_dot, omega_ddot, dt, p.theta_max

@@ -13,11 +13,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from sims.bicycle_displacement import displacement
-from sims.bicycle_physics import RANDLOV
+from sims.bicycle_physics import RANDLOV, Physics
 
 WIDTH, HEIGHT = 480, 270
 _FINE = 2
@@ -38,20 +39,32 @@ _FRONT_ON = 118.0
 """Drawn pixels per metre of the rider from behind."""
 
 _MAP_POINTS, _NEAR_POINTS = 400, 160
-_STEP = float(RANDLOV.v) * 0.01
 _FALL = float(RANDLOV.omega_max)
 
 Point = tuple[float, float]
+Gates = Sequence[tuple[Point, Point]]
 
 
-def frame(trail: Tensor, *, goal: Point = (1000.0, 0.0), goal_radius: float = 10.0) -> np.ndarray:
-    """RGB picture, uint8 ``[270, 480, 3]``, of the last state of ``trail`` ``[T, 10]``, T >= 1.
+def frame(
+    trail: Tensor,
+    *,
+    goal: Point = (1000.0, 0.0),
+    goal_radius: float = 10.0,
+    gates: Gates = (),
+    physics: Physics = RANDLOV,
+    dt: float = 0.01,
+    side_force: Tensor | None = None,
+) -> np.ndarray:
+    """RGB picture, uint8 ``[270, 480, 3]``, of the last state of ``trail`` ``[T, k]``, T >= 1.
 
-    ``trail``: the states of one ride so far, every one or every few (``STATE`` of
-    ``sims.bicycle_physics``); ``goal`` and ``goal_radius`` in m.  Of steps of 0.01 s that are all
-    there, where the rider hangs is worked out too; it is drawn five times as far as it is.
+    ``trail``: the states of one ride so far, every one or every few, the first ten components of
+    each being ``STATE`` of ``sims.bicycle_physics``; ``goal`` and ``goal_radius`` in m; ``gates``:
+    both posts of each gate of a course of which the next one is at ``goal``.  Of steps of ``dt``
+    seconds that are all there, where the rider hangs is worked out too, for the constants
+    ``physics`` and the wind ``side_force`` ``[T]``; it is drawn five times as far as it is.
     """
     trail = trail.detach().cpu().double()
+    wind = torch.zeros(len(trail)) if side_force is None else side_force.detach().cpu()
     while len(trail) > 0 and not bool(trail[-1].isfinite().all()):
         trail = trail[:-1]  # a ride that ran out of numbers is drawn as long as it had some
     if len(trail) == 0:
@@ -59,10 +72,11 @@ def frame(trail: Tensor, *, goal: Point = (1000.0, 0.0), goal_radius: float = 10
     states = trail.numpy()
     image = _paper().copy()
     draw = ImageDraw.Draw(image)
-    _draw_map(draw, states, goal, goal_radius)
-    image.paste(_near(states, goal, goal_radius), _NEAR[:2])
-    image.paste(_behind(states[-1], _hang(trail)), _BEHIND[:2])
-    _labels(draw, states[-1], goal)
+    _draw_map(draw, states, goal, goal_radius, gates)
+    image.paste(_near(states, goal, goal_radius, gates), _NEAR[:2])
+    hang = _hang(trail, wind[: len(trail)], physics, dt)
+    image.paste(_behind(states[-1], hang), _BEHIND[:2])
+    _labels(draw, states[-1], goal, "goal" if not gates else "gate")
     return np.asarray(image.reduce(_FINE))
 
 
@@ -102,10 +116,13 @@ def _stroke(
 
 
 def _draw_map(
-    draw: ImageDraw.ImageDraw, states: np.ndarray, goal: Point, goal_radius: float
+    draw: ImageDraw.ImageDraw, states: np.ndarray, goal: Point, goal_radius: float, gates: Gates
 ) -> None:
     path = _sampled(states, _MAP_POINTS)[:, 6:8]
+    posts = np.array([post for gate in gates for post in gate])
     edges = (np.subtract(goal, goal_radius), np.add(goal, goal_radius))
+    if gates:
+        edges = (posts.min(0), posts.max(0))
     low = np.minimum(np.minimum(path.min(0), path[0] - 20), edges[0])
     high = np.maximum(np.maximum(path.max(0), path[0] + 20), edges[1])
     left, top, right, bottom = _MAP[0] + 28, _MAP[1] + 58, _MAP[2] - 28, _MAP[3] - 20
@@ -118,16 +135,24 @@ def _draw_map(
             (top + bottom) / 2 - scale * (point[1] - middle[1]),
         )
 
-    spot = place(goal)
-    radius = max(scale * goal_radius, 9.0)
     start = place(path[0])
-    length = math.hypot(spot[0] - start[0], spot[1] - start[1])
-    for k in range(0, int(length), 14):
-        share = k / length
-        x, y = start[0] + share * (spot[0] - start[0]), start[1] + share * (spot[1] - start[1])
-        _disc(draw, (x, y), 1.5, fill=_LINE)
-    _disc(draw, spot, radius, fill=_GOAL_FILL, outline=_GOAL, width=3)
-    _disc(draw, spot, 2.5, fill=_GOAL)
+    if gates:
+        for gate in gates:
+            low_post, high_post = (place(post) for post in gate)
+            colour = _GOAL if _is_next(gate, goal) else _SOFT
+            draw.line((*low_post, *high_post), fill=colour, width=3)
+            for post in (low_post, high_post):
+                _disc(draw, post, 3.5, fill=colour)
+    else:
+        spot = place(goal)
+        radius = max(scale * goal_radius, 9.0)
+        length = math.hypot(spot[0] - start[0], spot[1] - start[1])
+        for k in range(0, int(length), 14):
+            share = k / length
+            x, y = start[0] + share * (spot[0] - start[0]), start[1] + share * (spot[1] - start[1])
+            _disc(draw, (x, y), 1.5, fill=_LINE)
+        _disc(draw, spot, radius, fill=_GOAL_FILL, outline=_GOAL, width=3)
+        _disc(draw, spot, 2.5, fill=_GOAL)
     _disc(draw, start, 5, fill=_SOFT)
     _stroke(draw, [place(point) for point in path], _PATH, 4)
 
@@ -144,7 +169,12 @@ def _draw_map(
     )
 
 
-def _near(states: np.ndarray, goal: Point, goal_radius: float) -> Image.Image:
+def _is_next(gate: tuple[Point, Point], goal: Point) -> bool:
+    middle = np.mean(gate, axis=0)
+    return bool(np.allclose(middle, goal))
+
+
+def _near(states: np.ndarray, goal: Point, goal_radius: float, gates: Gates) -> Image.Image:
     """The bicycle from above, in the middle of its panel."""
     width, height = _NEAR[2] - _NEAR[0], _NEAR[3] - _NEAR[1]
     image = _paper().crop(_NEAR)
@@ -164,7 +194,16 @@ def _near(states: np.ndarray, goal: Point, goal_radius: float) -> Image.Image:
     for y in range(math.ceil((centre_y - reach_y) / 5) * 5, math.ceil(centre_y + reach_y), 5):
         draw.line((2, place(0, y)[1], width - 3, place(0, y)[1]), fill=_GRID, width=2)
 
-    if math.hypot(goal[0] - centre_x, goal[1] - centre_y) < goal_radius + reach_x + reach_y:
+    for gate in gates:
+        colour = _GOAL if _is_next(gate, goal) else _SOFT
+        low, high = (place(*post) for post in gate)
+        draw.line((*low, *high), fill=_GOAL_FILL if colour == _GOAL else _LINE, width=5)
+        for post in (low, high):
+            _disc(draw, post, 8, fill=colour)
+    in_sight = math.hypot(goal[0] - centre_x, goal[1] - centre_y)
+    if gates and in_sight < min(reach_x, reach_y):
+        pass  # the gate itself is to be seen
+    elif not gates and in_sight < goal_radius + reach_x + reach_y:
         spot = place(*goal)
         _disc(draw, spot, goal_radius * _NEAR_SCALE, fill=_GOAL_FILL, outline=_GOAL, width=3)
         _disc(draw, spot, 6, fill=_GOAL)
@@ -222,14 +261,16 @@ def _near(states: np.ndarray, goal: Point, goal_radius: float) -> Image.Image:
     return image
 
 
-def _hang(trail: Tensor, steps: int = 25) -> float:
+def _hang(trail: Tensor, wind: Tensor, physics: Physics, dt: float, steps: int = 25) -> float:
     """Mean displacement (m, to the left) over the last ``steps`` steps; 0 if states are left out
     of the trail, or there is but one."""
     recent = trail[-steps - 1 :]
     way = np.hypot(*np.diff(recent[:, 6:8].numpy(), axis=0).T)
-    if len(way) == 0 or not np.allclose(way, _STEP, rtol=1e-3):
+    if len(way) == 0 or not np.allclose(way, float(physics.v) * dt, rtol=1e-3):
         return 0.0
-    return float(displacement(recent).mean().clamp(-0.04, 0.04))
+    # A state holds the wind of the step to it.
+    felt = wind[-steps - 1 :][1:]
+    return float(displacement(recent, physics=physics, side_force=felt).mean().clamp(-0.04, 0.04))
 
 
 def _behind(state: np.ndarray, displaced: float) -> Image.Image:
@@ -308,13 +349,13 @@ def _around(centre: Point, radius: float) -> tuple[float, float, float, float]:
     return centre[0] - radius, centre[1] - radius, centre[0] + radius, centre[1] + radius
 
 
-def _labels(draw: ImageDraw.ImageDraw, state: np.ndarray, goal: Point) -> None:
+def _labels(draw: ImageDraw.ImageDraw, state: np.ndarray, goal: Point, kind: str) -> None:
     theta, omega, xf, yf, xb, yb = (float(state[k]) for k in (0, 2, 6, 7, 8, 9))
     east, north = goal[0] - xf, goal[1] - yf
     ux, uy = xf - xb, yf - yb
     angle = math.degrees(math.atan2(ux * north - uy * east, ux * east + uy * north))
     left, top = _MAP[0] + 24, _MAP[1] + 14
-    draw.text((left, top), f"{math.hypot(east, north):.0f} m to the goal", _INK, _font(28))
+    draw.text((left, top), f"{math.hypot(east, north):.0f} m to the {kind}", _INK, _font(28))
     where = "ahead" if abs(angle) < 0.5 else "on the left" if angle > 0 else "on the right"
     text = f"{abs(angle):.0f}° {where}" if where != "ahead" else "straight ahead"
     draw.text((_MAP[2] - 24, top), text, _GOAL, _font(28), anchor="ra")

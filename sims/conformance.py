@@ -9,7 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from sims.base import Outcome, Sim, Spec, spec_index
+from sims.base import Lasting, Outcome, Sim, Spec, spec_index
 
 Shape = tuple[int, ...]
 
@@ -25,8 +25,9 @@ def check(
 
     Checked, with random actions, in float64: the spec; shapes for every batch of ``batches``;
     finite states; the same uniforms giving the same digits; rows of a batch equal, bit for bit, to
-    batches of one; arguments left as they were; restarts of some rows only; outcomes; measures;
-    observations within their periods and bounds; goals constant during an episode.
+    batches of one; arguments left as they were; restarts of some rows only, which leave alone what
+    lasts (``sims.base.Lasting``); outcomes; measures; observations within their periods and bounds;
+    goals constant during an episode.
 
     ``sim``: a sim, or a function that makes one, for sims with a memory of their own.
     """
@@ -170,6 +171,13 @@ def _check_restart(
     _expect(new.shape == state.shape, spec, f"restart: state of shape {_of(new)}")
     _expect(torch.equal(new[~mask], old[~mask]), spec, "restart: changed a row outside the mask")
     fresh = make().initial(draws.restarts)
+    lasting = list(sim.lasting) if isinstance(sim, Lasting) else []
+    if lasting:
+        kept = torch.equal(new[..., lasting], old[..., lasting])
+        _expect(kept, spec, "restart: changed what lasts")
+        # A new start in the same life: the state before it was another one, but for what lasts.
+        fresh[..., lasting] = old[..., lasting]
+        fresh = sim.restart(fresh, torch.ones_like(mask), draws.restarts)
     _expect(torch.equal(new[mask], fresh[mask]), spec, "restart: a row in the mask is no new start")
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import pytest
 import torch
 
+from edtorch.annealing import Annealed
+from edtorch.command import Ramp, Safe
 from edtorch.compilation import CannotCompile, check_compiler
 from edtorch.dispatch import choose_path
 from edtorch.features import Affine, Identity
@@ -16,13 +20,16 @@ from edtorch.noise import ResidualNoise
 from edtorch.policies import LinearPolicy
 from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
+from edtorch.schedule import ALWAYS, Schedule
 from edtorch.tick import Tick
 from edtorch.transform import FirstOrder, MeanOnly
 from edtorch.types import replace
-from edtorch.unroll import Horizon
+from edtorch.unroll import FromOrigin, Horizon
 from edtorch.update import SaturatedStep
 from edtorch.world import World
 from sims.bicycle import Bicycle
+
+Kind = Literal["plain", "rich", "cautious"]
 
 
 def needs_a_compiler() -> None:
@@ -34,15 +41,17 @@ def needs_a_compiler() -> None:
 
 
 def training_and_tick(
-    seeds: list[int], budget: Budget, *, rich: bool = False
+    seeds: list[int], budget: Budget, *, kind: Kind = "plain"
 ) -> tuple[Training, Tick]:
     """Learners on the bicycle with a short horizon, and their tick as a compiler wants it.
 
-    rich: with a constant term, least squares, covariance, noise, a start belief and action cost.
+    rich: with a constant term, least squares, covariance, noise, a start belief and action cost;
+    cautious: what a learner that must not fall has besides.
     """
-    world = World(Bicycle())
+    cautious, rich = kind == "cautious", kind != "plain"
+    world = World(Bicycle(), unwrap=1.5 if cautious else None)
     n, m = len(world.spec.state), len(world.spec.action)
-    model = DerivativeModel(n, m, (Affine if rich else Identity)(n + m), world.period)
+    model = DerivativeModel(n, m, (Affine if kind == "rich" else Identity)(n + m), world.period)
     policy = LinearPolicy(n, m, Identity(n))
     eye = torch.eye(n, dtype=torch.float64)
     R = (0.1 if rich else 0.0) * torch.eye(m, dtype=torch.float64)
@@ -67,6 +76,19 @@ def training_and_tick(
         exploration=0.05,
     )
     assert choice.compiled is not None
-    training = Training(learner, world, seeds, budget)
-    compiled = replace(learner, value=choice.compiled)
+    value = choice.compiled
+    schedule = ALWAYS
+    if cautious:
+        schedule = Schedule(first=10, often=40, every=16)
+        share = Annealed(0.3, 0.7, 100.0)
+        ramp = Ramp(n - 1, n, Annealed(0.1, 1.0, 100.0), torch.float64)
+        learner = replace(
+            learner,
+            value=FromOrigin(learner.value),
+            exploration=Annealed(0.5, 0.05, 30.0),
+            command=Safe(ramp, model, policy, noise, 0.051, 4, ((0, 1.0),), share, deviations=0.5),
+        )
+        value = FromOrigin(value)
+    training = Training(learner, world, seeds, budget, schedule=schedule)
+    compiled = replace(learner, value=value)
     return training, replace(training.tick, learner=compiled)

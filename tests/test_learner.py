@@ -7,6 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from edtorch.annealing import Annealed
+from edtorch.command import Ramp
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Identity
 from edtorch.fit import BayesianLeastSquares, Fit, RecursiveLeastSquares, SquaredError
@@ -93,6 +95,7 @@ def test_figure_1_by_hand_in_one_dimension(wish: Wish) -> None:
 
         assert state.model["weight"][0, 0].tolist() == pytest.approx([ws, wa], rel=1e-9, abs=1e-12)
         assert float(state.noise["nu"]) == pytest.approx(nu, rel=1e-9, abs=1e-12)
+        assert metrics.value is not None
         assert float(metrics.value) == pytest.approx(value, rel=1e-8, abs=1e-12)
         assert float(state.policy["weight"]) == pytest.approx(theta, rel=1e-6, abs=1e-9)
         s = following
@@ -209,3 +212,49 @@ def test_rates_are_per_second_in_the_derivative_form() -> None:
         moves.append((after.model["weight"] - start, after.policy["weight"]))
     assert torch.allclose(moves[0][0], 2 * moves[1][0], rtol=1e-9)
     assert torch.allclose(moves[0][1], 2 * moves[1][1], rtol=0.05)
+
+
+def test_a_policy_rests_between_its_improvements() -> None:
+    learner = bicycle_learner(World(Bicycle()), fit=RecursiveLeastSquares())
+    state, transition = bicycle_transition(learner, [1, 2])
+    resting, metrics = learner.step(state, transition, improve=False)
+    climbing, _ = learner.step(state, transition)
+    assert metrics.value is None and metrics.gradient is None and bool(metrics.finite.all())
+    assert torch.equal(resting.policy["weight"], state.policy["weight"])
+    assert not torch.equal(climbing.policy["weight"], state.policy["weight"])
+    assert torch.equal(resting.model["weight"], climbing.model["weight"])
+    assert torch.equal(resting.tick, climbing.tick)
+    assert torch.equal(resting.sound_ticks, climbing.sound_ticks)
+
+
+def test_model_and_policy_see_a_state_within_its_bounds() -> None:
+    # The same learner, handed the bounded state and as long a step from there.
+    world = World(Bicycle())
+    free = bicycle_learner(world)
+    ramp = Ramp(4, 5, Annealed(0.3, 0.3, 1.0), torch.float64)
+    learner = replace(free, command=ramp)
+    state, transition = bicycle_transition(learner, [1, 2, 3])
+    far = transition.state.clone()
+    far[:, 4] = f64([0.9, -0.8, 0.1])
+    moved = far + (transition.next_state - transition.state)
+    near = far.clone()
+    near[:, 4] = f64([0.3, -0.3, 0.1])
+    found, _ = learner.step(state, replace(transition, state=far, next_state=moved))
+    shifted = near + (moved - far)
+    unbounded = replace(state, limit={})
+    wanted, _ = free.step(unbounded, replace(transition, state=near, next_state=shifted))
+    assert torch.allclose(found.model["weight"], wanted.model["weight"], rtol=1e-12)
+    assert torch.allclose(found.policy["weight"], wanted.policy["weight"], rtol=1e-9)
+    normal = torch.zeros(3, 2, dtype=torch.float64)
+    assert torch.equal(learner.act(found, far, normal), free.act(found, near, normal))
+    acting = learner.acting(found)
+    assert torch.equal(learner.policy.action(acting, far), free.policy.action(found.policy, near))
+
+
+def test_exploration_fades() -> None:
+    learner = replace(bicycle_learner(World(Bicycle())), exploration=Annealed(1.0, 0.1, 50.0))
+    state = learner.initial([1, 2])
+    state = replace(state, tick=torch.tensor([0, 10**6]))
+    observation = torch.zeros(2, 5, dtype=torch.float64)
+    action = learner.act(state, observation, torch.ones(2, 2, dtype=torch.float64))
+    assert action.tolist() == [[1.0, 1.0], [0.1, 0.1]]

@@ -9,9 +9,8 @@ import torch
 from torch.utils import _pytree as pytree
 
 from edtorch.closed_form import LinearMeanOnly
-from edtorch.interact import learning_streams
 from edtorch.records import Budget
-from edtorch.streams import Draw
+from edtorch.streams import Draw, learning_streams
 from edtorch.tick import Tick
 from edtorch.types import replace
 from edtorch.world import World
@@ -28,7 +27,7 @@ def test_learners_that_are_done_stay_as_they_are() -> None:
     done = torch.tensor([False, True, False])
     here = replace(here, worlds=replace(here.worlds, active=~done))
     draw = learning_streams(training.world, training.seeds).at(51)
-    there, outcome = tick.live(here, draw, 51)
+    there, outcome = tick.live(here, draw, 51, improve=True)
     there = tick.turn(there, outcome, draw, 51)
     pairs = zip(pytree.tree_leaves(here), pytree.tree_leaves(there), strict=True)
     assert all(torch.equal(one[1], other[1]) for one, other in pairs)
@@ -68,7 +67,7 @@ def test_a_tick_needs_no_other_device() -> None:
     draw = Draw(torch.empty(8, world.uniforms, device=meta), torch.empty(8, 2, device=meta))
     here = tick.first(learner.initial(range(8)), draw)
     clock = torch.empty((), dtype=torch.int64, device=meta)
-    there, outcome = tick.live(here, draw, clock)
+    there, outcome = tick.live(here, draw, clock, improve=True)
     there = tick.turn(there, outcome, draw, clock)
     leaves = pytree.tree_leaves(there)
     assert all(leaf.device == meta for leaf in leaves)

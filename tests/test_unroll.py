@@ -13,8 +13,8 @@ from edtorch.policies import SquashedPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import FirstOrder, MeanOnly, Transform, point_belief
 from edtorch.types import Belief
-from edtorch.unroll import Generic, Horizon
-from tests.systems import f64, normal, random_cost
+from edtorch.unroll import FromOrigin, Generic, Horizon
+from tests.systems import f64, linear_case, normal, random_cost, same_value_and_gradient
 
 
 def nonlinear(transform: Transform, kind: type, steps: int = 6) -> Generic:
@@ -110,3 +110,12 @@ def test_gradient_is_finite_from_a_point_belief_and_from_any_belief() -> None:
 def test_refuses_the_impossible(arguments: tuple, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Horizon(*arguments)
+
+
+def test_from_the_origin_every_state_is_the_same() -> None:
+    case = linear_case(3, 2, 6)
+    path = FromOrigin(case.closed)
+    zero = torch.zeros_like(case.state)
+    found = path(case.model, case.policy, case.noise, case.state)
+    same_value_and_gradient(found, case.closed(case.model, case.policy, case.noise, zero))
+    assert not path.needs_autograd and FromOrigin(case.generic).needs_autograd

@@ -12,6 +12,14 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.command import (
+    build_command,
+    build_exploration,
+    build_schedule,
+    check_start,
+    needs_noise,
+    variant,
+)
 from edtorch.app.compute import Compute, check_memory, plan, plan_inverse, uncompiled
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under, unknown_key
@@ -22,6 +30,7 @@ from edtorch.app.inverse import (
     inverse_path,
 )
 from edtorch.checkpoint import PolicyCard
+from edtorch.closed_form.regulator import Regulator
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
 from edtorch.fit import Fit
@@ -33,7 +42,8 @@ from edtorch.noise import BayesianNoise, Noise
 from edtorch.policies import LinearPolicy
 from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
-from edtorch.unroll import Horizon
+from edtorch.schedule import Schedule
+from edtorch.unroll import FromOrigin, Horizon
 from edtorch.value_error import ValueErrorIndicator
 from edtorch.world import World
 from sims.base import Quantity, Sim, Spec
@@ -44,6 +54,8 @@ FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
     "pairwise": Pairwise,
     "trigonometric": Trigonometric,
 }
+STARTS = ("state", "origin")
+DIRECTIONS = ("gradient", "regulator")
 FeaturedActor = LinearPolicy | InverseController
 Shapes = dict[str, tuple[int, ...]]
 
@@ -165,7 +177,8 @@ def _build_model(config: Any, world: World, dtype: torch.dtype, seed: int) -> Mo
 
 
 def _build_noise(config: Any, fit: Fit, model: Model, stretch: float) -> Noise:
-    rest = OmegaConf.masked_copy(config, [str(k) for k in config if k != "exploration"])
+    own = [str(k) for k in config if not str(k).startswith("exploration")]
+    rest = OmegaConf.masked_copy(config, own)
     noise = construct("noise", rest, "covariance", "update", stretch=stretch)
     if isinstance(noise, BayesianNoise) and "P" not in fit.initial(model.weight):
         raise ConfigError(
@@ -186,7 +199,10 @@ def build_actor(config: Any, sim: Sim, dtype: torch.dtype) -> tuple[FeaturedActo
         }
         return controller, shapes
     policy = build_policy(config.policy, sim, dtype, config.seed)
-    return policy, {name: tuple(p.shape) for name, p in policy.named_parameters()}
+    shapes = {name: tuple(p.shape) for name, p in policy.named_parameters()}
+    if variant(config.command) != "free":
+        shapes["limit"] = (len(sim.spec.state),)
+    return policy, shapes
 
 
 def policy_card(sim: Sim, policy: FeaturedActor, seeds: list[int]) -> PolicyCard:
@@ -251,7 +267,7 @@ def _build_forward(config: DictConfig, world: World, compute: Compute) -> _Forwa
             config.unroll.reading,
         )
     noise = None
-    if transform.propagates_covariance or config.log.value_error:
+    if transform.propagates_covariance or config.log.value_error or needs_noise(config.command):
         noise = _build_noise(config.noise, fit, model, step / world.dt if euler else 1.0)
     if config.unroll.path not in get_args(Wish):
         raise ConfigError(
@@ -280,9 +296,25 @@ def _build_forward(config: DictConfig, world: World, compute: Compute) -> _Forwa
     except ValueError as error:
         raise ConfigError(f"unroll.path={config.unroll.path}: {error}") from error
     path, reason, compilable = choice.path, choice.reason, choice.compiled
+    if config.unroll.direction not in DIRECTIONS:
+        raise ConfigError(
+            f"unroll.direction={config.unroll.direction}: expected one of {', '.join(DIRECTIONS)}"
+        )
+    if config.unroll.direction == "regulator":
+        with under("unroll"):
+            path = compilable = Regulator(model, policy, reward, horizon, start_cov)
+        reason = "Riccati recursion on the learned model"
     tracked = tracking(model, policy, reward, transform, horizon)
     if tracked is not None and config.unroll.path == "auto":
         path, reason, compilable = tracked, "goal-tracking loop, its adjoint written out", None
+    if config.unroll.start not in STARTS:
+        raise ConfigError(
+            f"unroll.start={config.unroll.start}: expected one of {', '.join(STARTS)}"
+        )
+    if config.unroll.start == "origin":
+        path = FromOrigin(path)
+        compilable = None if compilable is None else FromOrigin(compilable)
+    check_start(config.command, world)
     with under("noise"):
         learner = Learner(
             model=model,
@@ -291,7 +323,8 @@ def _build_forward(config: DictConfig, world: World, compute: Compute) -> _Forwa
             noise=noise,
             value=path,
             step_rule=construct("step", config.step, "initial"),
-            exploration=config.noise.exploration,
+            exploration=build_exploration(config.noise, world.dt),
+            command=build_command(config.command, world, model, policy, noise),
         )
     check_memory(learner, world, config.seeds)
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
@@ -305,8 +338,9 @@ def _build_forward(config: DictConfig, world: World, compute: Compute) -> _Forwa
 class Setup:
     """Everything that a training run is made of.
 
-    calm: a new world to evaluate in; path: how value and gradient are found, in words; compiled:
-    the same learner as a compiler wants it, None if it is not to be compiled.
+    calm: a new world to evaluate in; schedule: when policies are improved; path: how value and
+    gradient are found, in words; compiled: the same learner as a compiler wants it, None if it is
+    not to be compiled.
     """
 
     learner: AnyLearner
@@ -314,6 +348,7 @@ class Setup:
     calm: Callable[[], World]
     seeds: list[int]
     budget: Budget
+    schedule: Schedule
     card: PolicyCard
     path: str
     indicator: ValueErrorIndicator | None
@@ -356,11 +391,12 @@ def build(config: DictConfig) -> Setup:
 
 
 def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) -> Setup:
-    world = World(sim, compute.dtype, compute.device)
+    unwrap = config.observation.unwrap
+    with under("observation"):
+        world = World(sim, compute.dtype, compute.device, unwrap)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     if config.eval.domain:
         build_sim(evaluated)
-    seeds = [config.seed + k for k in range(config.seeds)]
     indicator = compiled = None
     if has_inverse(config):
         learner = build_inverse_learner(config, sim, compute.dtype)
@@ -370,9 +406,23 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
         forward = _build_forward(config, world, compute)
         learner, path = forward.learner, forward.path
         indicator, compiled = forward.indicator, forward.compiled
+    # Not before the population is known to fit in memory.
+    seeds = list(range(config.seed, config.seed + config.seeds))
     card = policy_card(sim, learner.policy, seeds)
 
     def calm() -> World:
-        return World(build_sim(evaluated), compute.dtype, compute.device)
+        return World(build_sim(evaluated), compute.dtype, compute.device, unwrap)
 
-    return Setup(learner, world, calm, seeds, budget, card, path, indicator, compute, compiled)
+    return Setup(
+        learner,
+        world,
+        calm,
+        seeds,
+        budget,
+        build_schedule(config.schedule, world.dt),
+        card,
+        path,
+        indicator,
+        compute,
+        compiled,
+    )

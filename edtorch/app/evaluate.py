@@ -109,7 +109,7 @@ def _evaluate(config: DictConfig) -> float:
         )
     sim = build_sim(changed_domain(run_config.domain, config.domain, "domain"))
     dtype = policy_dtype(path)
-    world = World(sim, dtype)
+    world = World(sim, dtype, unwrap=run_config.observation.unwrap)
     policy, shapes = build_actor(run_config, sim, dtype)
     seeds = [run_config.seed + k for k in range(run_config.seeds)]
     parameters = load_policy(path, policy_card(sim, policy, seeds), shapes)

@@ -8,6 +8,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from edtorch.app.checks import at_least
+from edtorch.app.command import variant
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
 from edtorch.dispatch import Wish
@@ -81,6 +82,11 @@ def _value(config: DictConfig, policy: InversePolicy, horizon: Horizon) -> Inver
     wish, deviation = config.unroll.path, config.unroll.start_deviation
     if wish not in get_args(Wish):
         raise ConfigError(f"unroll.path={wish}: expected one of {', '.join(get_args(Wish))}")
+    for key, only in (("start", "state"), ("direction", "gradient")):
+        if config.unroll[key] != only:
+            raise ConfigError(
+                f"unroll.{key}={config.unroll[key]}: expected {only} with an inverse policy"
+            )
     at_least("unroll.start_deviation", deviation, 0)
     transform = construct(
         "transform",
@@ -140,6 +146,11 @@ def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> I
         horizon = Horizon(unroll.horizon, unroll.dt, unroll.discount, unroll.dt, unroll.reading)
     value = _value(config, controller.policy, horizon)
     noise = _noise(config.noise) if value.propagates_covariance else None
+    if variant(config.command) != "free":
+        raise ConfigError(
+            f"command={config.command.variant}: expected free with an inverse policy, whose error"
+            " has a limit of its own (inverse.limit)"
+        )
     at_least("noise.exploration", config.noise.exploration, 0)
     fit = construct("fit", config.fit, "initial", "update")
     rule = construct("step", config.step, "initial")

@@ -39,6 +39,7 @@ class PhysicsConfig:
     r: float = 0.34
     theta_max: float = 1.3963
     omega_max: float = math.pi / 15
+    true_precession: bool = False
 
 
 @dataclass
@@ -60,6 +61,38 @@ class BicycleConfig:
     integrate: FunctionConfig = field(
         default_factory=lambda: FunctionConfig("sims.bicycle.semi_implicit")
     )
+    start_lean: float = 0.0
+    start_handlebar: float = 0.0
+    spread: float = 0.0
+    gust: float = 0.0
+    gust_seconds: float = 1.0
+    gust_every: float = 5.0
+    change_at: float | None = None
+    change: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class SlalomConfig(BicycleConfig):
+    """Gates instead of a goal; see ``sims.slalom.Slalom``."""
+
+    _target_: str = "sims.slalom.Slalom"
+    time_limit: float = 300.0
+    start_heading_low: float = -math.pi / 2 - 0.2
+    start_heading_high: float = -math.pi / 2 + 0.2
+    gates: int = 10
+    gate_width: float = 4.0
+    gate_spacing: float = 40.0
+    gate_offset: float = 5.0
+
+
+@dataclass
+class SensedConfig:
+    """Any domain seen through sensors; see ``sims.sensing.Sensed``."""
+
+    _target_: str = "sims.sensing.Sensed"
+    sim: Any = MISSING
+    noise: dict[str, float] = field(default_factory=dict)
+    delay: int = 0
 
 
 @dataclass
@@ -226,10 +259,14 @@ class RewardConfig:
 
 @dataclass
 class NoiseConfig:
-    """exploration: scaled standard deviation; rate: of nu~ (where covariance is propagated)."""
+    """exploration: scaled standard deviation; exploration_start: that of a newborn learner, null:
+    the same; exploration_decay: seconds in which the difference falls by e; rate: of nu~ (where
+    covariance is propagated)."""
 
     _target_: str = MISSING
     exploration: float = 0.05
+    exploration_start: float | None = None
+    exploration_decay: float = 0.3
     rate: float = 1.0
 
 
@@ -257,15 +294,74 @@ class MonteCarloConfig(TransformConfig):
 @dataclass
 class UnrollConfig:
     """horizon: steps; dt: seconds a step (derivative form); discount: per second, or per step;
-    start_deviation: scaled standard deviation of the belief that it starts from; path: auto,
+    start: state, of the moment, or origin; start_deviation: scaled standard deviation of the belief
+    that it starts from; direction: gradient, or regulator (Riccati's, with step=full); path: auto,
     closed_form or generic; reading: figure or definition, see ``edtorch.unroll.Horizon``."""
 
     horizon: int = 30
     dt: float = 0.051
     discount: float = 1.0
+    start: str = "state"
     start_deviation: float = 0.0
+    direction: str = "gradient"
     path: str = "auto"
     reading: str = "figure"
+
+
+@dataclass
+class ScheduleConfig:
+    """first: tick of the first improvement of the policy; often: seconds up to which every tick
+    improves it; every: ticks from one improvement to the next after that."""
+
+    first: int = 1
+    often: float = 0.0
+    every: int = 1
+
+
+@dataclass
+class ObservationConfig:
+    """unwrap: rad beyond half a turn up to which angles are counted on; null: always wrapped."""
+
+    unwrap: float | None = None
+
+
+@dataclass
+class FreeCommandConfig:
+    """Model and policy see all of the state."""
+
+    variant: str = "free"
+
+
+@dataclass
+class RampConfig:
+    """variant: ramp or safe; component: of the state, by name; start, final: its bound for a
+    newborn learner and later, in its unit; decay: seconds; see ``edtorch.command``."""
+
+    variant: str = MISSING
+    component: str = MISSING
+    start: float = 0.25
+    final: float = 1.0
+    decay: float = 3.0
+
+
+@dataclass
+class SafeConfig(RampConfig):
+    """share_start, share: of the limits that a command may use up, for a newborn learner and
+    later; deviations: standard deviations to keep off; horizon: steps predicted; dt: seconds a
+    step."""
+
+    share_start: float = 0.3
+    share: float = 0.7
+    deviations: float = 0.0
+    horizon: int = 45
+    dt: float = 0.051
+
+
+@dataclass
+class FullStepConfig:
+    """``edtorch.update.FullStep``."""
+
+    _target_: str = MISSING
 
 
 @dataclass
@@ -372,6 +468,9 @@ class TrainConfig:
     noise: Any = MISSING
     transform: Any = MISSING
     unroll: UnrollConfig = field(default_factory=UnrollConfig)
+    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    command: Any = None  # as in the runs of before there was such a group: free
     step: Any = MISSING
     rival: Any = field(default_factory=RivalConfig)
     train: BudgetConfig = field(default_factory=BudgetConfig)
@@ -407,6 +506,8 @@ SCALARS = frozenset(f.name for f in fields(TrainConfig) if f.type in ("int", "bo
 SCHEMAS: dict[str, dict[str, type]] = {
     "domain": {
         "bicycle_schema": BicycleConfig,
+        "slalom_schema": SlalomConfig,
+        "sensed_schema": SensedConfig,
         "cardea_schema": CardeaConfig,
         "linear_schema": LinearSystemConfig,
         "gymnasium_schema": GymnasiumConfig,
@@ -436,6 +537,12 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "saturated_schema": SaturatedStepConfig,
         "decaying_schema": DecayingStepConfig,
         "plain_schema": PlainStepConfig,
+        "full_schema": FullStepConfig,
+    },
+    "command": {
+        "free_schema": FreeCommandConfig,
+        "ramp_schema": RampConfig,
+        "safe_schema": SafeConfig,
     },
     "rival": {"rival_schema": RivalConfig, "random_search_schema": RandomSearchConfig},
 }

@@ -124,11 +124,11 @@ def _go_on_compiled(training: Training, learner: Learner, *, required: bool) -> 
         logger.warning("not compiled, and several times slower for it: %s", error)
         return
     training.stage = stage
-    how = "from the cache" if stage.program.seconds is None else "kept for the next run"
+    how = "kept for the next run" if stage.was_compiled else "from the cache"
     logger.info(
         "compiled from tick %d on, in tiles of %d learners (%.1f s, %s)",
         training.clock,
-        stage.program.size,
+        stage.size,
         time.monotonic() - began,
         how,
     )
@@ -231,7 +231,9 @@ def _train(job: _Job) -> dict[str, Any]:
     """Learn, evaluate, write everything; returns the content of ``summary.json``."""
     setup, config, console = job.setup, job.config, job.console
     stride = max(1, setup.world.limit_ticks // 10_000)
-    training = Training(setup.learner, setup.world, setup.seeds, setup.budget, stride)
+    training = Training(
+        setup.learner, setup.world, setup.seeds, setup.budget, stride, setup.schedule
+    )
     title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
     precision = "float64" if setup.world.dtype == torch.float64 else "mixed precision"
     logger.info("%s; %s; %s", title, setup.path, precision)

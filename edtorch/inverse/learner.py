@@ -115,6 +115,7 @@ class InverseLearner:
             policy=policy,
             fit=fit,
             noise={} if self.noise is None else self.noise.initial(zeros(n + p, 1)),
+            limit={},
             step={f"rule.{k}": m for k, m in self.step_rule.initial(policy).items()}
             | {
                 "states": zeros(self.recent, layout.size),
@@ -137,8 +138,11 @@ class InverseLearner:
             self.policy.action(self.acting(state), observation), normal, self.exploration
         )
 
-    def step(self, state: LearnerState, transition: Transition) -> tuple[LearnerState, Metrics]:
-        """Fit, and every so often climb, after one transition of each learner.
+    def step(
+        self, state: LearnerState, transition: Transition, *, improve: bool = True
+    ) -> tuple[LearnerState, Metrics]:
+        """Fit, and every so often climb (never unless ``improve``), after one transition of each
+        learner.
 
         Whether an update is due is asked of a tensor, so that in between it costs nothing.
         """
@@ -161,7 +165,7 @@ class InverseLearner:
         )
         value_ok, floored = torch.ones_like(sound), None
         due = transition.valid & (learned.tick % self.every == 0) & (learned.tick >= self.recent)
-        if bool(due.any()):
+        if improve and bool(due.any()):
             learned, value_ok, floored = self._climb(learned, transition.dt * self.every, due)
         unbroken = value_ok & fit_ok & (state.sound_ticks == state.tick) & transition.valid
         learned = replace(learned, sound_ticks=state.sound_ticks + unbroken)

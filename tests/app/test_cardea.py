@@ -133,6 +133,8 @@ def test_learning_goes_on_where_a_worker_died(
         (["transform=first", "noise=linear"], r"noise\._target_=.*expected noise=residual"),
         (["transform=cubature", "unroll.path=closed_form"], r"unroll\.path=closed_form: expected"),
         (["unroll.start_deviation=1"], r"unroll\.start_deviation=1.*transform=first takes it in"),
+        (["unroll.start=origin"], r"unroll\.start=origin: expected state with an inverse"),
+        (["unroll.direction=regulator"], r"unroll\.direction=regulator: expected gradient"),
         (["unroll.path=fast"], r"unroll\.path=fast: expected one of"),
         (["log.value_error=true"], r"log\.value_error=true: expected false"),
         (["compute.precision=mixed"], r"compute\.precision=mixed: expected float64"),

@@ -1,0 +1,351 @@
+"""A report as headings, paragraphs, tables and charts, whatever they are then rendered as."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from edtorch.report import samples
+from edtorch.report.charts import Chart, charts
+from edtorch.report.comparison import RODE, ZERO_FALLS, Comparison, Estimate, Row, Share
+from edtorch.report.groups import shown
+from edtorch.report.proportions import Proportion
+from edtorch.report.quantities import FALLS, FALLS_AFTER, FINAL, SECONDS, Quantity
+from edtorch.report.runs import LeftOut
+from edtorch.report.samples import Interval
+from edtorch.report.tables import Table
+
+NONE = "-"
+NEVER = "never"
+"""For what is beyond every budget."""
+
+HOW_TO_READ = (
+    "The seed is the unit: every figure is one number per learner, whatever it did in between.",
+    "Brackets are 95 % intervals: of shares Wilson's, of everything else percentile bootstraps over"
+    f" the seeds ({samples.RESAMPLES:,} resamples, stratified by group, the same at every call).",
+    "IQM is the interquartile mean: the mean of the middle half of the seeds.",
+    "A learner that never rode within its budget is censored: its falls and seconds before the"
+    " first ride are only known to be more than it has paid, and it counts as worse than every"
+    f" learner that rode ({NEVER!r} where that decides a bound). Where more than a quarter of the"
+    " seeds is censored only the Kaplan-Meier median is told, marked KM; where that is not reached,"
+    " > names the median of what has been paid.",
+)
+
+
+OVERVIEW_NOTE = (
+    "Falls and seconds before and falls after the first ride, no fall before it, evaluation, CPU"
+    " seconds of learning; IQM over the seeds with its 95 % interval."
+)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A heading with what stands below it.  folded: of interest to few."""
+
+    heading: str
+    paragraphs: tuple[str, ...] = ()
+    charts: tuple[Chart, ...] = ()
+    tables: tuple[Table, ...] = ()
+    folded: tuple[Table, ...] = ()
+
+
+@dataclass(frozen=True)
+class Document:
+    """The whole report; made: the line that says by what."""
+
+    title: str
+    parts: tuple[Part, ...]
+    made: str
+
+
+def document(
+    comparisons: Sequence[Comparison], left_out: Sequence[LeftOut], title: str, made: str
+) -> Document:
+    """Put a report together."""
+    parts = [_section(comparison) for comparison in comparisons]
+    parts.append(Part("How to read this", HOW_TO_READ))
+    if left_out:
+        rows = tuple((str(item.path), item.why) for item in left_out)
+        table = Table("Left out", ("folder", "why"), rows)
+        parts.append(Part("Left out", tables=(table,)))
+    return Document(title, tuple(parts), made)
+
+
+def _section(comparison: Comparison) -> Part:
+    return Part(
+        comparison.section.title,
+        charts=tuple(charts(comparison)),
+        tables=tuple([overview(comparison), *_against_baseline(comparison)]),
+        folded=(*_details(comparison), _settings(comparison), _runs(comparison)),
+    )
+
+
+def number(value: float, digits: int) -> str:
+    """Without needless zeros; what is tiny keeps two figures."""
+    if math.isinf(value):
+        return NEVER
+    if value and abs(value) < 10**-digits:
+        return f"{value:.2g}"
+    text = f"{value:,.{digits}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def _bracket(interval: Interval, digits: int) -> str:
+    return f"[{number(interval.low, digits)}, {number(interval.high, digits)}]"
+
+
+def _median(estimate: Estimate) -> str:
+    digits = estimate.quantity.digits
+    if math.isinf(estimate.median.value):
+        return f"> {number(estimate.at_least, digits)}"
+    return f"{number(estimate.median.value, digits)} {_bracket(estimate.median, digits)}"
+
+
+def _censored(estimate: Estimate) -> str:
+    return f"({estimate.censored} of {len(estimate.sample)} censored)"
+
+
+def _cell(row: Row, quantity: Quantity) -> str:
+    """Of the overview: the IQM with its interval, or what there is instead."""
+    estimate = row.estimates.get(quantity.name)
+    if estimate is None:
+        return NONE
+    lost = f" {_censored(estimate)}" if estimate.censored else ""
+    if estimate.middle is None:
+        return f"KM {_median(estimate)}{lost}"
+    digits = quantity.digits
+    # The middle half does not tell of the one learner that went wrong.
+    worst = "" if quantity.until_ride else f", worst {number(estimate.worst, digits)}"
+    return (
+        f"{number(estimate.middle.value, digits)} {_bracket(estimate.middle, digits)}{worst}{lost}"
+    )
+
+
+def percent(share: float, total: int) -> str:
+    """With as many digits as so many can tell."""
+    digits = max(0, math.ceil(math.log10(total)) - 2) if total > 1 else 0
+    return f"{100 * share:.{digits + 1}f}"
+
+
+def proportion(share: Proportion) -> str:
+    """In per cent, with Wilson's interval."""
+    rate, low, high = (percent(v, share.total) for v in (share.rate, *share.wilson()))
+    return f"{rate} % [{low}, {high}]"
+
+
+def overview(comparison: Comparison) -> Table:
+    """A line for each group."""
+    title = f"{comparison.section.title}, overview"
+    if comparison.section.searches:
+        return _search_overview(comparison, title)
+    goal = [
+        q for q in comparison.quantities if q.path[0] in ("goal_rate", "fall_rate", "goal_time_s")
+    ]
+    final = [q for q in comparison.quantities if q.path[0] == FINAL]
+    chosen = [*goal, *(q for q in final if _is_headline(q))]
+    header = ("group", "seeds", "rode", FALLS.brief, "no fall before", SECONDS.brief)
+    header += (FALLS_AFTER.brief, *(q.brief for q in chosen), "CPU s per seed")
+    rows: list[tuple[str, ...]] = []
+    for row in comparison.rows:
+        size, cpu = len(row.group.seeds), row.cpu_s
+        rows.append(
+            (
+                row.group.label,
+                str(size),
+                str(row.shares[RODE].proportion.count),
+                _cell(row, FALLS),
+                proportion(row.shares[ZERO_FALLS].proportion),
+                _cell(row, SECONDS),
+                _cell(row, FALLS_AFTER),
+                *(_cell(row, quantity) for quantity in chosen),
+                NONE if cpu is None else number(cpu / _trained(row), 2),
+            )
+        )
+    return Table(title, header, tuple(rows), OVERVIEW_NOTE)
+
+
+def _trained(row: Row) -> int:
+    """Learners that the CPU seconds went into: a repeated seed cost again."""
+    return sum(len(run.seeds) for run in row.group.runs)
+
+
+def _is_headline(quantity: Quantity) -> bool:
+    return quantity.path[-1] in ("joint_error_rad", "crash_rate", "success_rate")
+
+
+def _search_overview(comparison: Comparison, title: str) -> Table:
+    names = list(dict.fromkeys(name for row in comparison.rows for name in row.shares))
+    totals = ("episodes", "simulated_seconds", "cpu_s")
+    header = ("group", "seeds", "policies", *(name.replace("_", " ") for name in names))
+    header += ("distance, m", *(name.replace("_", " ") for name in totals))
+    rows: list[tuple[str, ...]] = []
+    for row in comparison.rows:
+        shares = [row.shares.get(name) for name in names]
+        size = max(share.proportion.total for share in row.shares.values())
+        distances = [run.summary.get("distance_m") for run in row.group.runs]
+        told = [NONE if d is None else number(d, 1) for d in distances]
+        sums = [row.total(name) for name in totals]
+        rows.append(
+            (
+                row.group.label,
+                str(len(row.group.seeds)),
+                f"{size:,}",
+                *(NONE if share is None else _of(share) for share in shares),
+                ", ".join(told),
+                *(NONE if total is None else number(total, 0) for total in sums),
+            )
+        )
+    return Table(title, header, tuple(rows), "Shares with Wilson 95 % intervals.")
+
+
+def _of(share: Share) -> str:
+    return f"{share.proportion.count:,}: {proportion(share.proportion)}"
+
+
+def _against_baseline(comparison: Comparison) -> list[Table]:
+    """What changes from the first group to the others."""
+    first, *others = comparison.rows
+    if not others:
+        return []
+    title = f"{comparison.section.title}, beside {first.group.label!r}"
+    if comparison.section.searches:
+        names = list(dict.fromkeys(name for row in others for name in row.shares))
+        header = ("group", *(f"{name.replace('_', ' ')}: difference, p" for name in names))
+        rows = [
+            (row.group.label, *(_against(row, first, name) for name in names)) for row in others
+        ]
+        note = "p: two-proportion z test that the two shares are one."
+        return [Table(title, header, tuple(rows), note)]
+    told = [q for q in (FALLS, SECONDS, FALLS_AFTER) if q in comparison.quantities]
+    told += [q for q in comparison.quantities if q.path[0] == "goal_time_s" or _is_headline(q)]
+    header = ("group",)
+    for quantity in told:
+        header += (f"{quantity.brief}: difference", "better")
+    rows = []
+    for row in others:
+        cells: list[str] = []
+        for quantity in told:
+            estimate = row.estimates.get(quantity.name)
+            cells += (
+                [NONE, NONE] if estimate is None else [_difference(estimate), _better(estimate)]
+            )
+        rows.append((row.group.label, *cells))
+    note = (
+        "Difference: of the interquartile means, group minus baseline (none where more than a"
+        " quarter is censored). Better: probability that a learner of the group does better than"
+        " one of the baseline."
+    )
+    return [Table(title, header, tuple(rows), note)]
+
+
+def _against(row: Row, first: Row, name: str) -> str:
+    if name not in row.shares or name not in first.shares:
+        return NONE
+    share, base = row.shares[name], first.shares[name]
+    points = 100 * (share.proportion.rate - base.proportion.rate)
+    p = share.p
+    return f"{points:+.3g} points" + ("" if p is None else f", p = {p:.2g}")
+
+
+def _difference(estimate: Estimate) -> str:
+    found, digits = estimate.difference, estimate.quantity.digits
+    if found is None:
+        return NONE
+    sign = "+" if found.value > 0 else ""
+
+    def bound(value: float) -> str:
+        return "unknown" if math.isinf(value) else number(value, digits)
+
+    ends = f"[{bound(found.low)}, {bound(found.high)}]"
+    return f"{sign}{number(found.value, digits)} {ends}"
+
+
+def _better(estimate: Estimate) -> str:
+    found = estimate.better
+    return NONE if found is None else f"{found.value:.2f} [{found.low:.2f}, {found.high:.2f}]"
+
+
+def _details(comparison: Comparison) -> list[Table]:
+    """A table for each quantity, with every estimate."""
+    header = (
+        "group",
+        "seeds",
+        "censored",
+        "median",
+        "IQM",
+        "mean",
+        "least",
+        "95th percentile",
+        "most",
+    )
+    header += ("difference of IQM", "better than the baseline")
+    return [
+        Table(
+            quantity.label,
+            header,
+            tuple(
+                _detail(row.group.label, row.estimates[quantity.name])
+                for row in comparison.rows
+                if quantity.name in row.estimates
+            ),
+        )
+        for quantity in comparison.quantities
+    ]
+
+
+def _detail(label: str, estimate: Estimate) -> tuple[str, ...]:
+    found, digits = estimate.as_json(), estimate.quantity.digits
+    middle = estimate.middle
+
+    def extreme(value: float | None) -> str:
+        return NEVER if value is None else number(value, digits)
+
+    return (
+        label,
+        str(len(estimate.sample)),
+        str(estimate.censored),
+        _median(estimate),
+        NONE if middle is None else f"{number(middle.value, digits)} {_bracket(middle, digits)}",
+        NONE if estimate.censored else number(float(estimate.sample.lived.mean()), digits),
+        *(extreme(found[key]) for key in ("min", "p95", "max")),
+        _difference(estimate),
+        _better(estimate),
+    )
+
+
+def _settings(comparison: Comparison) -> Table:
+    """In which settings the groups differ."""
+    keys = list(comparison.rows[0].group.differing)
+    rows = [
+        (
+            row.group.label,
+            ", ".join(shown(key, row.group.differing[key]) for key in keys) or "no difference",
+        )
+        for row in comparison.rows
+    ]
+    return Table("Settings in which the groups differ", ("group", "settings"), tuple(rows))
+
+
+def _runs(comparison: Comparison) -> Table:
+    """Where the figures come from."""
+    header = ("group", "folder", "seeds", "command", "torch", "commit")
+    rows: list[tuple[str, ...]] = []
+    for row in comparison.rows:
+        for run in row.group.runs:
+            about = {**run.about, **run.summary}
+            torch = (about.get("versions") or {}).get("torch", NONE)
+            told = (about.get("command") or NONE, torch, (about.get("git") or NONE)[:12])
+            rows.append((row.group.label, str(run.path), ranges(run.seeds), *told))
+    return Table("Runs", header, tuple(rows))
+
+
+def ranges(seeds: Sequence[int]) -> str:
+    """``0-3, 7``."""
+    spans: list[list[int]] = []
+    for seed in sorted(seeds):
+        if spans and seed == spans[-1][1] + 1:
+            spans[-1][1] = seed
+        else:
+            spans.append([seed, seed])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in spans)

@@ -1,0 +1,242 @@
+"""Run folders as they are found on disk: what is usable, and what is left out for which reason.
+
+A finished run is a folder with the resolved ``config.yaml`` and ``summary.json``; ``run.json`` and
+``status.json`` are read where they are (of a committed result only the first two are kept).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import yaml
+
+CONFIG, SUMMARY, STATUS, ABOUT = "config.yaml", "summary.json", "status.json", "run.json"
+Settings = Mapping[str, Any]
+
+
+class Unusable(Exception):
+    """A folder that cannot be part of a report; the message says why."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What is not in the report, and why."""
+
+    path: Path
+    why: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run.
+
+    settings: every leaf of its configuration by its full key; about: of ``run.json``, empty where
+    there is none.
+    """
+
+    path: Path
+    settings: Settings
+    summary: Mapping[str, Any]
+    about: Mapping[str, Any]
+
+    @property
+    def is_search(self) -> bool:
+        """Whether it is of a rival that counts policies, not of learners with a seed each."""
+        return "seeds" not in self.summary
+
+    @property
+    def seeds(self) -> list[int]:
+        """In the order of the summary's figures."""
+        return [self.summary["seed"]] if self.is_search else list(self.summary["seeds"])
+
+    def per_seed(self, *keys: str) -> list[float | None] | None:
+        """The figures under this path in the summary; None where it has no such figure."""
+        found: Any = self.summary
+        for key in keys:
+            found = found.get(key) if isinstance(found, Mapping) else None
+        return found["per_seed"] if isinstance(found, Mapping) and "per_seed" in found else None
+
+
+def flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Leaves by full key; an empty mapping has none."""
+    leaves: dict[str, Any] = {}
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            leaves |= flat(value, f"{prefix}{key}.")
+        else:
+            leaves[f"{prefix}{key}"] = value
+    return leaves
+
+
+def find(folders: Sequence[Path]) -> tuple[list[Path], list[LeftOut]]:
+    """The run folders in and under these, each once, in the order given and then by name.
+
+    A folder that holds a configuration or a summary is taken for a run and not looked into; names
+    that begin with a dot are not looked at.
+    """
+    found: dict[Path, Path] = {}
+    left_out: list[LeftOut] = []
+    for folder in folders:
+        inside = list(_runs_under(folder))
+        if not inside:
+            left_out.append(LeftOut(folder, f"holds no run: no {CONFIG} in it or below"))
+        for path in inside:
+            found.setdefault(path.resolve(), path)
+    return list(found.values()), left_out
+
+
+def _natural(name: str) -> list[tuple[int, int, str]]:
+    """Sorts job 2 before job 10."""
+    pieces = "".join(c if c.isdigit() else f" {c} " for c in name).split()
+    return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in pieces]
+
+
+def _runs_under(folder: Path) -> list[Path]:
+    found: list[Path] = []
+    for place, folders, files in os.walk(folder):
+        if CONFIG in files or SUMMARY in files:
+            found.append(Path(place))
+            folders.clear()
+        folders[:] = sorted((f for f in folders if not f.startswith(".")), key=_natural)
+    return found
+
+
+def load(path: Path) -> Run:
+    """Raises Unusable."""
+    status = _json(path / STATUS) if (path / STATUS).exists() else None
+    if status is not None and status.get("status") != "done":
+        why = status.get("why")
+        reason = f": {why}" if why else ""
+        raise Unusable(f"unfinished: {STATUS} says {status.get('status')}{reason}")
+    if not (path / SUMMARY).exists():
+        raise Unusable(f"unfinished: it has no {SUMMARY}")
+    if not (path / CONFIG).exists():
+        raise Unusable(f"it has no {CONFIG}")
+    settings = _settings(path / CONFIG)
+    about = _json(path / ABOUT) if (path / ABOUT).exists() else {}
+    run = Run(path, settings, _json(path / SUMMARY), about)
+    if "domain._target_" not in settings:
+        raise Unusable(f"{CONFIG}: expected domain._target_, which names the domain")
+    (_check_search if run.is_search else _check_learning)(run.summary)
+    return run
+
+
+def load_all(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
+    """The finished runs in and under the folders, and what cannot be used."""
+    paths, left_out = find(folders)
+    runs: list[Run] = []
+    for path in paths:
+        try:
+            runs.append(load(path))
+        except Unusable as error:
+            left_out.append(LeftOut(path, str(error)))
+    return runs, left_out
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise Unusable(f"corrupted: {path.name} is not UTF-8 text ({error.reason})") from error
+    except OSError as error:
+        raise Unusable(f"{path.name} cannot be read ({error.strerror})") from error
+
+
+def _no_number(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no JSON")
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(_text(path), parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        raise Unusable(f"corrupted: {path.name} is not JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise Unusable(f"corrupted: {path.name}: expected an object")
+    return content
+
+
+def _settings(path: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(_text(path))
+        if isinstance(content, dict):
+            return flat(content)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        why = " ".join(str(error).split())
+        raise Unusable(f"corrupted: {path.name} is not YAML ({why})") from error
+    raise Unusable(f"corrupted: {path.name}: expected a mapping of settings")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_list_of(kind: type, value: object) -> bool:
+    return isinstance(value, list) and all(
+        isinstance(v, kind) and not isinstance(v, bool) for v in value
+    )
+
+
+LEARNING = ("falls_before_first_ride", "seconds_before_first_ride")
+"""What makes a summary that of learners: both known for every seed."""
+
+
+def _check_learning(summary: Mapping[str, Any]) -> None:
+    seeds = summary["seeds"]
+    if not _is_list_of(int, seeds) or not seeds or len(set(seeds)) != len(seeds):
+        raise Unusable(f"corrupted: {SUMMARY}: seeds: expected different integers, at least one")
+    for key in LEARNING:
+        values = summary.get(key)
+        values = values.get("per_seed") if isinstance(values, dict) else None
+        if not isinstance(values, list) or not all(map(_is_number, values)):
+            raise Unusable(f"corrupted: {SUMMARY}: {key}.per_seed: expected a number per seed")
+    never = summary.get("never_rode")
+    if not _is_list_of(int, never) or not set(never or ()) <= set(seeds):
+        raise Unusable(f"corrupted: {SUMMARY}: never_rode: expected some of its seeds")
+    _check_spreads(summary, len(seeds), "")
+
+
+def _check_spreads(node: Any, size: int, place: str) -> None:
+    """Every figure per seed has one for each, a number or null."""
+    if isinstance(node, list):
+        for k, item in enumerate(node):
+            _check_spreads(item, size, f"{place}[{k}].")
+    if not isinstance(node, dict):
+        return
+    for key, value in node.items():
+        if key != "per_seed":
+            _check_spreads(value, size, f"{place}{key}.")
+        elif not isinstance(value, list) or len(value) != size:
+            raise Unusable(f"corrupted: {SUMMARY}: {place}per_seed: expected {size} figures")
+        elif not all(v is None or _is_number(v) for v in value):
+            raise Unusable(f"corrupted: {SUMMARY}: {place}per_seed: expected numbers or null")
+
+
+RATE = ("count", "total")
+"""What a share is told by."""
+
+
+def _check_search(summary: Mapping[str, Any]) -> None:
+    if not isinstance(summary.get("seed"), int) or not rates(summary):
+        raise Unusable(
+            f"{SUMMARY}: expected the figures of learners (seeds) or of a search (seed and shares)"
+        )
+    for key, share in rates(summary).items():
+        count, total = (share[name] for name in RATE)
+        if not (_is_list_of(int, [count, total]) and 0 <= count <= total and total > 0):
+            raise Unusable(f"corrupted: {SUMMARY}: {key}: expected a count out of a total")
+
+
+def rates(summary: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """The shares in the summary of a search, by name."""
+    return {
+        key: value
+        for key, value in summary.items()
+        if isinstance(value, Mapping) and all(name in value for name in RATE)
+    }
