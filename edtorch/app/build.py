@@ -362,6 +362,7 @@ def _check(config: DictConfig) -> None:
     check_numbers(config)
     check_seeds(config)
     at_least("eval.episodes", config.eval.episodes, 0)
+    at_least("eval.keep", config.eval.keep, 0)
     for place, minutes in enumerate(config.eval.minutes):
         if not minutes > 0:
             raise ConfigError(f"eval.minutes[{place}]={minutes}: expected a number > 0")
@@ -391,6 +392,11 @@ def build(config: DictConfig) -> Setup:
 
 
 def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) -> Setup:
+    if config.eval.keep and not (sim.spec.goal and config.eval.episodes):
+        raise ConfigError(
+            f"eval.keep={config.eval.keep}: expected 0 without a goal in the domain and"
+            f" eval.episodes, here {sim.spec.name} and {config.eval.episodes}"
+        )
     unwrap = config.observation.unwrap
     with under("observation"):
         world = World(sim, compute.dtype, compute.device, unwrap)

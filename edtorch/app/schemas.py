@@ -420,10 +420,12 @@ class BudgetConfig:
 
 @dataclass
 class EvalConfig:
-    """episodes: fresh ones per seed after training; 0: none; minutes: simulated ones after which
-    there are as many on the way; domain: settings of the domain that are others meanwhile."""
+    """episodes: fresh ones per seed after training; 0: none; keep: further ones, by which the best
+    policy so far is kept; 0: the last policy is; minutes: simulated ones after which there are as
+    many on the way; domain: settings of the domain that are others meanwhile."""
 
     episodes: int = 100
+    keep: int = 0
     minutes: list[float] = field(default_factory=list)
     domain: dict[str, Any] = field(default_factory=dict)
 

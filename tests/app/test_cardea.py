@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 from PIL import Image
+from safetensors.torch import load_file
 
 pytest.importorskip("pybullet", reason="the extra [cardea] is not installed: no PyBullet")
 
@@ -91,6 +92,34 @@ def test_a_run_goes_on_from_its_checkpoint_and_is_evaluated(run: Path, command: 
     assert figures["yardsticks"]["nothing"]["crash_rate"]["median"] == 1
 
 
+def test_keeps_the_best_policy_by_other_episodes(
+    run: Path, command: Command, workplace: Path
+) -> None:
+    folder = workplace / "kept"
+    result = command(
+        "edtorch-train",
+        *SHORT,
+        "eval.minutes=[0.05]",
+        "eval.keep=4",
+        "log.figures=false",
+        f"hydra.run.dir={folder}",
+    )
+    assert result.status == 0, result.err
+    kept, plain = (json.loads((f / "summary.json").read_text()) for f in (folder, run))
+    assert kept["evaluations"] == plain["evaluations"]
+    assert "kept" not in plain
+    when = kept["kept"]["minutes"]["per_seed"]
+    by_minutes = {e["minutes"]: e for e in kept["evaluations"]}
+    for name in FIGURES:
+        for seed, minutes in enumerate(when):
+            own = kept["kept"][name]["per_seed"][seed]
+            assert own == by_minutes[minutes][name]["per_seed"][seed]
+    saved, last = (load_file(f / "policy.safetensors") for f in (folder, run))
+    for seed, minutes in enumerate(when):
+        is_last = bool((saved["weight"][seed] == last["weight"][seed]).all())
+        assert is_last == (minutes == kept["final"]["minutes"])
+
+
 def _episodes(run: Path, seed: int) -> list[dict[str, str]]:
     with (run / "episodes.csv").open(newline="") as file:
         return [row for row in csv.DictReader(file) if row["seed"] == str(seed)]
@@ -135,6 +164,7 @@ def test_learning_goes_on_where_a_worker_died(
         (["unroll.start_deviation=1"], r"unroll\.start_deviation=1.*transform=first takes it in"),
         (["unroll.start=origin"], r"unroll\.start=origin: expected state with an inverse"),
         (["unroll.direction=regulator"], r"unroll\.direction=regulator: expected gradient"),
+        (["eval.keep=5", "eval.episodes=0"], r"eval\.keep=5: expected 0 without a goal"),
         (["unroll.path=fast"], r"unroll\.path=fast: expected one of"),
         (["log.value_error=true"], r"log\.value_error=true: expected false"),
         (["compute.precision=mixed"], r"compute\.precision=mixed: expected float64"),
