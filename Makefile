@@ -4,6 +4,9 @@
 PYTHON ?= python3
 JOBS ?= 2
 ARGS ?=
+# A browser for the tests of report.html; by default the one in the PATH.
+CHROMIUM ?=
+export CHROMIUM
 # What can be run; the others are what these share.
 BENCH ?= $(patsubst benchmarks/%.py,%,$(shell grep -l __main__ benchmarks/*.py))
 
@@ -16,12 +19,12 @@ TEST_ENV := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEN
     PATH="$$PWD/$(VENV)/bin:$$PATH"
 PYTEST := $(TEST_ENV) $(PY) -m pytest -n $(JOBS) --dist worksteal
 
-.PHONY: help ride test test-long check format bench env dev clean distclean
+.PHONY: help ride test test-long test-browser browser check format bench env dev clean distclean
 .DEFAULT_GOAL := help
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | \
-	while IFS='|' read -r name text; do printf '%-18s %s\n' "$$name" "$$text"; done
+	while IFS='|' read -r name text; do printf '%-20s %s\n' "$$name" "$$text"; done
 	@echo '  ARGS="..." adds arguments: make ride ARGS="seed=7 seeds=16", make test ARGS="-k bicycle"'
 	@echo '  PYTHON=python3.12 picks the interpreter of a new environment'
 
@@ -33,6 +36,21 @@ test: $(VENV)/.dev  ## all tests but the long ones
 
 test-long: $(VENV)/.dev  ## the tests against the committed results in runs/reference
 	$(PYTEST) -m reference $(ARGS)
+
+test-browser: $(VENV)/.dev browser  ## the tests of report.html in headless Chromium
+	$(PYTEST) -m browser $(ARGS)
+
+# A page is checked where it is read, and no wheel brings a browser: Debian's package does, for root.
+browser:
+	@for name in "$(CHROMIUM)" chromium chromium-browser google-chrome; do \
+	    command -v "$$name" >/dev/null && exit 0; \
+	done; \
+	if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && \
+	    DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium; \
+	else \
+	    echo "no Chromium: install it, or name one: make test-browser CHROMIUM=PATH" >&2; exit 1; \
+	fi
 
 check: $(VENV)/.dev  ## format, lint, types
 	$(PY) -m ruff format --check .

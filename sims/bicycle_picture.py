@@ -200,14 +200,16 @@ def _near(states: np.ndarray, goal: Point, goal_radius: float, gates: Gates) -> 
         draw.line((*low, *high), fill=_GOAL_FILL if colour == _GOAL else _LINE, width=5)
         for post in (low, high):
             _disc(draw, post, 8, fill=colour)
-    in_sight = math.hypot(goal[0] - centre_x, goal[1] - centre_y)
-    if gates and in_sight < min(reach_x, reach_y):
-        pass  # the gate itself is to be seen
-    elif not gates and in_sight < goal_radius + reach_x + reach_y:
+    aside, beyond = abs(goal[0] - centre_x), abs(goal[1] - centre_y)
+    if gates:
+        in_sight = aside < reach_x and beyond < reach_y
+    else:
+        in_sight = math.hypot(aside, beyond) < goal_radius + reach_x + reach_y
+    if in_sight and not gates:
         spot = place(*goal)
         _disc(draw, spot, goal_radius * _NEAR_SCALE, fill=_GOAL_FILL, outline=_GOAL, width=3)
         _disc(draw, spot, 6, fill=_GOAL)
-    else:
+    elif not in_sight:
         # An arrow to it, at the panel's edge.
         east, north = goal[0] - centre_x, centre_y - goal[1]
         share = min(

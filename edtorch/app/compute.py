@@ -19,8 +19,10 @@ from edtorch.world import World
 
 PRECISIONS = ("auto", "float64", "mixed")
 
-WORTHWHILE_TICKS = 20_000
-"""Of one learner, from which on compiling takes less time than it saves."""
+WORTHWHILE_SECONDS = 150.0
+"""That a run takes uncompiled, about, from which on compiling takes less time than it saves."""
+_TICK, _LEARNER = 1e-3, 2e-5
+"""Seconds that a tick takes uncompiled, and each learner in it besides, about."""
 
 LARGEST_UNCOMPILED = 1024
 """Learners up to which a run starts uncompiled, to show something while nothing is compiled yet."""
@@ -82,7 +84,7 @@ def plan(config: Any, budget: Budget, world: World, learners: int) -> Compute:
     compiled = required or (
         config.compile == "auto"
         and getattr(world.sim, "traceable", False)
-        and expected_ticks(budget, world) >= WORTHWHILE_TICKS
+        and expected_ticks(budget, world) * (_TICK + _LEARNER * learners) >= WORTHWHILE_SECONDS
     )
     if required:
         if not getattr(world.sim, "traceable", False):

@@ -179,6 +179,18 @@ class LeastSquaresConfig:
 
 
 @dataclass
+class AdaptiveConfig:
+    """``edtorch.adaptive.AdaptiveLeastSquares``."""
+
+    _target_: str = MISSING
+    prior: float = 1000.0
+    fast: float = 5.0
+    slow: float = 0.2
+    threshold: float = 3.0
+    doubt: float = 1.0
+
+
+@dataclass
 class BayesianFitConfig:
     """``edtorch.fit.BayesianLeastSquares``."""
 
@@ -519,6 +531,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "rate_schema": RateFitConfig,
         "normalised_schema": NormalisedFitConfig,
         "least_squares_schema": LeastSquaresConfig,
+        "adaptive_schema": AdaptiveConfig,
         "bayesian_schema": BayesianFitConfig,
         "ridge_schema": RidgeConfig,
         "decaying_fit_schema": DecayingFitConfig,

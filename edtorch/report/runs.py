@@ -17,6 +17,8 @@ from typing import Any, NoReturn
 import yaml
 
 CONFIG, SUMMARY, STATUS, ABOUT = "config.yaml", "summary.json", "status.json", "run.json"
+ABOUT_KINDS: dict[str, type] = {"versions": dict, "command": str, "git": str}
+"""What is only shown, wherever it stands."""
 Settings = Mapping[str, Any]
 
 
@@ -152,13 +154,32 @@ def _no_number(name: str) -> NoReturn:
     raise ValueError(f"{name} is no JSON")
 
 
+def _finite(text: str) -> float:
+    """A number that a report can print again: 1e999 is none."""
+    number = float(text)
+    if not math.isfinite(number):
+        _no_number(text)
+    return number
+
+
+def _whole(text: str) -> int:
+    _finite(text)
+    return int(text)
+
+
 def _json(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(_text(path), parse_constant=_no_number)
+        content = json.loads(
+            _text(path), parse_constant=_no_number, parse_float=_finite, parse_int=_whole
+        )
     except (ValueError, RecursionError) as error:
         raise Unusable(f"corrupted: {path.name} is not JSON ({error})") from error
     if not isinstance(content, dict):
         raise Unusable(f"corrupted: {path.name}: expected an object")
+    for key, kind in ABOUT_KINDS.items():
+        if not isinstance(content.get(key), kind | None):
+            expected = f"{kind.__name__} or nothing"
+            raise Unusable(f"corrupted: {path.name}: {key}: expected {expected}")
     return content
 
 
@@ -200,13 +221,26 @@ def _check_learning(summary: Mapping[str, Any]) -> None:
     if not _is_list_of(int, never) or not set(never or ()) <= set(seeds):
         raise Unusable(f"corrupted: {SUMMARY}: never_rode: expected some of its seeds")
     _check_spreads(summary, len(seeds), "")
+    if not isinstance(summary.get("final", {}), dict):
+        raise Unusable(f"corrupted: {SUMMARY}: final: expected figures by name")
+    evaluations = summary.get("evaluations", [])
+    if not isinstance(evaluations, list) or not all(map(_is_evaluation, evaluations)):
+        raise Unusable(f"corrupted: {SUMMARY}: evaluations: expected figures, each with minutes")
+
+
+def _is_evaluation(node: Any) -> bool:
+    return (
+        isinstance(node, dict)
+        and _is_number(node.get("minutes"))
+        and all(isinstance(v, dict) and "per_seed" in v for k, v in node.items() if k != "minutes")
+    )
 
 
 def _check_spreads(node: Any, size: int, place: str) -> None:
     """Every figure per seed has one for each, a number or null."""
     if isinstance(node, list):
         for k, item in enumerate(node):
-            _check_spreads(item, size, f"{place}[{k}].")
+            _check_spreads(item, size, f"{place.removesuffix('.')}[{k}].")
     if not isinstance(node, dict):
         return
     for key, value in node.items():

@@ -78,6 +78,7 @@ def learning_figures(
         "falls_before_first_ride": Spread([r.falls_before for r in per_seed]).as_json(),
         "seconds_before_first_ride": Spread([r.seconds_before for r in per_seed]).as_json(),
         "falls_after_first_ride": Spread([r.falls_after for r in per_seed]).as_json(),
+        "zero_fall_rate": sum(r.rode and r.falls_before == 0 for r in per_seed) / len(per_seed),
         "never_rode": [s for s, r in zip(seeds, per_seed, strict=True) if not r.rode],
     }
 
@@ -93,7 +94,8 @@ def _over_shortest(episode: Episode) -> float:
 
 
 def evaluation_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]:
-    """The figures of fresh episodes, per seed: the goal rate, the median of everything else.
+    """The figures of fresh episodes, per seed: the goal rate, the median of everything else; and
+    ``goal_time_all_s``, the quantiles of the time over all episodes of all seeds.
 
     ``goal_time_s`` and the sim's own measures are those of the episodes that reached the goal;
     ``fall_rate`` beside ``goal_rate`` tells a timeout from a fall.
@@ -110,6 +112,7 @@ def evaluation_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]
             ]
         ).as_json(),
         "goal_time_s": Spread([_median_or_none([e.seconds for e in r]) for r in reached]).as_json(),
+        "goal_time_all_s": _quantiles([e.seconds for r in reached for e in r]),
         "path_length_m": Spread(_measure(reached, "path_length_m")).as_json(),
         "goal_time_over_shortest": Spread(
             [_median_or_none([_over_shortest(e) for e in r]) for r in reached]
@@ -119,6 +122,18 @@ def evaluation_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]
         ).as_json(),
     }
     return figures
+
+
+def _quantiles(values: Sequence[float]) -> dict[str, float | None]:
+    """median, p95 and max (None of nothing)."""
+    if not values:
+        return {"median": None, "p95": None, "max": None}
+    ranked = sorted(values)
+    return {
+        "median": statistics.median(ranked),
+        "p95": ranked[math.ceil(0.95 * len(ranked)) - 1],
+        "max": ranked[-1],
+    }
 
 
 def _measure(episodes: Sequence[Sequence[Episode]], name: str) -> list[float | None]:

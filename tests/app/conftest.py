@@ -15,10 +15,14 @@ from pathlib import Path
 import pytest
 from hydra.core.config_store import ConfigStore
 
-from edtorch.app import evaluate, train
+from edtorch.app import evaluate, report, train
 from edtorch.app.signals import SIGNALS
 
-MAINS = {"edtorch-train": train.main, "edtorch-eval": evaluate.main}
+MAINS = {
+    "edtorch-train": train.main,
+    "edtorch-eval": evaluate.main,
+    "edtorch-report": report.main,
+}
 MODULES = {"edtorch-train": "edtorch.app.train", "edtorch-eval": "edtorch.app.evaluate"}
 QUICK = (
     "seeds=2",

@@ -4,21 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from sims.base import Sim, Spec
-from sims.bicycle import Bicycle, explicit_euler
+from sims.bicycle import Bicycle, Physics, explicit_euler
 from sims.conformance import check
 from sims.from_gymnasium import GymnasiumSim
 from sims.linear import LinearSystem
+from sims.sensing import Sensed
+from sims.slalom import Slalom
+
+ALL_AT_ONCE: dict[str, Any] = {
+    "spread": 0.3,
+    "gust": 10.0,
+    "gust_seconds": 0.03,
+    "gust_every": 0.05,
+    "change_at": 0.05,
+    "change": {"v": 5.0},
+    "start_lean": 0.1,
+}
 
 SIMS: dict[str, Callable[[], Sim]] = {
     "bicycle": Bicycle,
     "bicycle, six components": lambda: Bicycle(lean_acceleration=True, integrate=explicit_euler),
     "bicycle, not clipped": lambda: Bicycle(clip_action=False, goal_radius=2.0, noise=0.0),
+    "bicycle, drawn": lambda: Bicycle(spread=0.3),
+    "bicycle, windy": lambda: Bicycle(gust=10.0, gust_seconds=0.03, gust_every=0.05),
+    "bicycle, changing": lambda: Bicycle(change_at=0.05, change={"M_p": 90.0, "v": 5.0}),
+    "bicycle, off balance": lambda: Bicycle(start_lean=0.1, start_handlebar=0.35),
+    "bicycle, true precession": lambda: Bicycle(physics=Physics(true_precession=True)),
+    "bicycle, all at once": lambda: Bicycle(**ALL_AT_ONCE),
+    "slalom": Slalom,
+    "slalom, all at once": lambda: Slalom(**ALL_AT_ONCE),
+    "bicycle, sensed": lambda: Sensed(Bicycle(), {"lean": 0.1, "angle_to_goal": 0.1}, 1),
+    "slalom, all at once, sensed": lambda: Sensed(Slalom(**ALL_AT_ONCE), {"lean_rate": 0.1}, 3),
+    "linear, sensed": lambda: Sensed(LinearSystem([[1.0]], [[1.0]]), {"s0": 0.1}, 2),
     "linear": lambda: LinearSystem([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.5]]),
     "pendulum": lambda: GymnasiumSim("Pendulum-v1"),
     "mountain car": lambda: GymnasiumSim(
@@ -71,6 +95,28 @@ class RestartsNone(Bicycle):
 
     def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
         return state
+
+
+@dataclass(frozen=True)
+class Reborn(Bicycle):
+    """Draws anew what should last."""
+
+    spread: float = 0.3
+
+    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
+        return torch.where(mask[..., None], self.initial(uniforms), state)
+
+
+@dataclass(frozen=True)
+class Reminiscent(Bicycle):
+    """Its starts depend on the ride before, beyond what lasts."""
+
+    spread: float = 0.3
+
+    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
+        new = super().restart(state, mask, uniforms).clone()
+        new[..., 5] = torch.where(mask, state[..., 5], new[..., 5])
+        return new
 
 
 class Unwrapped(Bicycle):
@@ -150,6 +196,8 @@ class Goalless(Bicycle):
         (Coupled, "observation of row"),
         (RestartsAll, "outside the mask"),
         (RestartsNone, "no new start"),
+        (Reborn, "restart: changed what lasts"),
+        (Reminiscent, "no new start"),
         (Unwrapped, "beyond its period"),
         (Diverging, "not finite"),
         (Undecided, "none of Outcome"),
