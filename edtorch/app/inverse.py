@@ -116,7 +116,8 @@ def _value(config: DictConfig, policy: InversePolicy, horizon: Horizon) -> Inver
 
 
 def _noise(config: DictConfig) -> Noise:
-    rest = OmegaConf.masked_copy(config, [str(k) for k in config if k != "exploration"])
+    own = [str(k) for k in config if not str(k).startswith("exploration")]
+    rest = OmegaConf.masked_copy(config, own)
     noise = construct("noise", rest, "covariance", "update", stretch=1.0)
     if not noise.is_constant:
         raise ConfigError(
@@ -152,6 +153,11 @@ def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> I
             " has a limit of its own (inverse.limit)"
         )
     at_least("noise.exploration", config.noise.exploration, 0)
+    if config.noise.exploration_start is not None:
+        raise ConfigError(
+            f"noise.exploration_start={config.noise.exploration_start}: expected null with an"
+            " inverse policy"
+        )
     fit = construct("fit", config.fit, "initial", "update")
     rule = construct("step", config.step, "initial")
     with under("inverse"):
