@@ -12,6 +12,7 @@ adjoint written out beside torch's differentiation.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -95,6 +96,9 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    if importlib.util.find_spec("pybullet") is None:
+        print("left out: needs PyBullet, the extra [cardea]")
+        return
     torch.set_num_threads(1)
     schemas.register()
 
