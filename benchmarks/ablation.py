@@ -157,8 +157,11 @@ def run(cells: Sequence[Cell], output: Path, jobs: int) -> int:
     due = [cell for cell in cells if not is_done(output / cell.table / cell.name, wanted(cell))]
     for cell in cells:
         print(f"{cell.title}: {'to do' if cell in due else 'there'}")
-    with ThreadPoolExecutor(jobs) as pool:
+    pool = ThreadPoolExecutor(jobs)
+    try:
         statuses = list(pool.map(lambda c: _train(c, output / c.table / c.name), due))
+    finally:
+        pool.shutdown(cancel_futures=True)  # after Ctrl-C no further cell is begun
     return sum(status != 0 for status in statuses)
 
 
@@ -202,6 +205,9 @@ def main() -> None:
         failed = run(chosen, options.output, options.jobs)
     except (BadCells, OSError) as error:
         sys.exit(f"ablation: {error}")
+    except KeyboardInterrupt:
+        print("ablation: interrupted; the same command goes on", file=sys.stderr)
+        sys.exit(130)
     if failed:
         sys.exit(f"ablation: {failed} of {len(chosen)} cells failed")
     if options.only is None:

@@ -29,16 +29,18 @@ class Slalom(Bicycle):
     the one after it is next either way.
 
     All is as in ``sims.bicycle.Bicycle`` (its harder worlds too) but for the following.
-    ``angle_to_goal`` is to the middle of the next gate, of the last one when there is none.  It
-    leaps when a gate is reached: such a step is none to learn from (``stepped``).  The start points
+    ``angle_to_goal`` is to the middle of the gate that is steered for: the next one, until the front
+    tyre is within ``look_ahead`` of its line, where the angle to it begins to run away, and from
+    there the one after it, the last one at the end.  It leaps in between: such a step is none to
+    learn from (``stepped``).  The start points
     along the line within 0.2 rad either way.  End: FAILED as ever; SUCCEEDED with the last gate if
     all have been passed; TIMED_OUT with the last gate if not, or after ``time_limit``.
 
     A full state is that of the bicycle, followed by the number of gates reached, of gates passed,
-    and whether one was reached in the step just made.
+    and whether another one has been steered for since the step before.
 
     Arguments: those of the bicycle, of which ``goal_radius`` is of no use here; ``gates``: how
-    many; ``gate_width``, ``gate_spacing``, ``gate_offset`` in m.
+    many; ``gate_width``, ``gate_spacing``, ``gate_offset``, ``look_ahead`` in m.
     """
 
     time_limit: float = 300.0
@@ -48,13 +50,19 @@ class Slalom(Bicycle):
     gate_width: float = 4.0
     gate_spacing: float = 40.0
     gate_offset: float = 5.0
+    look_ahead: float = 6.0
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""
         super().__post_init__()
         if isinstance(self.gates, bool) or not isinstance(self.gates, int) or self.gates < 1:
             raise ValueError(f"gates={self.gates!r}: expected a whole number, 1 or more")
-        for name, least in (("gate_width", 0.0), ("gate_spacing", 2.0), ("gate_offset", -math.inf)):
+        for name, least in (
+            ("gate_width", 0.0),
+            ("gate_spacing", 2.0),
+            ("gate_offset", -math.inf),
+            ("look_ahead", -1.0),
+        ):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > least):
                 above = f" above {least:g}" if least > -math.inf else ""
@@ -75,8 +83,14 @@ class Slalom(Bicycle):
         is_odd = index - 2 * (index / 2).floor()
         return self.gate_spacing * (index + 1), self.gate_offset * (1 - 2 * is_odd)
 
+    def _aim(self, components: Tensor) -> Tensor:
+        """How many gates lie before the one that is steered for."""
+        gate = components[self.width]
+        x, _ = self._middle(gate)
+        return gate + (components[6] >= x - self.look_ahead)
+
     def _angle(self, components: Tensor) -> Tensor:
-        return angle_to(components, *self._middle(components[self.width]))
+        return angle_to(components, *self._middle(self._aim(components)))
 
     def initial(self, uniforms: Tensor) -> Tensor:
         """Start states ``[*batch, k]`` from uniforms ``[*batch, reset_dim]``."""
@@ -101,12 +115,13 @@ class Slalom(Bicycle):
         reached = (rows[6] >= x) & (gate < self.gates)
         between = (rows[7] - y).abs() <= self.gate_width / 2
         gate, passed = gate + reached, passed + (reached & between)
-        course = torch.stack((gate, passed, reached.to(gate.dtype)))
-        return torch.cat((rows, course)).movedim(0, -1)
+        new = torch.cat((rows, torch.stack((gate, passed, gate))))
+        leapt = self._aim(new) != self._aim(state.movedim(-1, 0))
+        return torch.cat((new[:-1], leapt.to(gate.dtype)[None])).movedim(0, -1)
 
     def stepped(self, state: Tensor) -> Tensor:
-        """Whether the step to ``state`` was one to learn from, bool ``[*batch]``: no gate was
-        reached in it."""
+        """Whether the step to ``state`` was one to learn from, bool ``[*batch]``: one gate was
+        steered for throughout."""
         return state[..., self.width + 2] < 0.5
 
     def outcome(self, state: Tensor) -> Tensor:

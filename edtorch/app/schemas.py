@@ -83,6 +83,7 @@ class SlalomConfig(BicycleConfig):
     gate_width: float = 4.0
     gate_spacing: float = 40.0
     gate_offset: float = 5.0
+    look_ahead: float = 6.0
 
 
 @dataclass

@@ -73,10 +73,7 @@ class _OneByOne:
 
     def __init__(self, _: int) -> None: ...
 
-    def __enter__(self) -> _OneByOne:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
+    def shutdown(self, *, cancel_futures: bool) -> None: ...
 
     def map(self, function: Callable[[Cell], int], cells: list[Cell]) -> list[int]:
         return [function(cell) for cell in cells]

@@ -103,7 +103,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _chromium(browser: str, folder: Path, scheme: str, *arguments: str) -> str:
     profile = folder / f"profile_{scheme}"
     command = [browser, *QUIET, *DARK[scheme], f"--user-data-dir={profile}", *arguments]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=240)
     assert result.returncode == 0, result.stderr
     return result.stdout
 
