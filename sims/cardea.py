@@ -206,22 +206,24 @@ class Cardea:
     def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
         """The state ``dt`` later; action ``[*batch, 5]`` in N m; uniforms ``[*batch, 5]``."""
         # The least uniform number, 0, would be noise without bound.
-        noise = torch.special.ndtri(uniforms.clamp(min=2.0**-54)) * (self.torque_noise * _LIMITS)
+        noise = torch.special.ndtri(uniforms.clamp(min=2.0**-54)) * self._noise
         torque = torch.clamp(action + noise, -_LIMITS, _LIMITS)
         new = state.reshape(-1, 26).clone()
         torques = torque.reshape(-1, 5)
         going = self._sound(new) & self._in_time(new)
         # Of the action: clipping makes a limit of infinity.
         usable = action.reshape(-1, 5).isfinite().all(-1)
+        if len(new) and bool((going & usable).all()):
+            # The usual case, without looking for rows: that would take as long as the physics.
+            new = self._moved(new, torques, list(range(len(new))))
+            new[:, _CLOCK] += self.dt
+            return new.reshape(state.shape)
         for k in (going & ~usable).nonzero()[:, 0].tolist():
             self._warn(k, "a torque is not finite: its episode ends as a failure")
             new[k, _TROUBLE] = int(Trouble.TORQUE)
         rows = (going & usable).nonzero()[:, 0]
         if len(rows):
-            before, torques = new[rows], torques[rows]
-            moved = self._move(rows.tolist(), before[:, :14].tolist(), torques.tolist())
-            kept = (before[:, _GOAL], torques, before[:, _CLOCK, None])
-            new[rows] = torch.cat((moved[:, :14], *kept, moved[:, 14:]), -1)
+            new[rows] = self._moved(new[rows], torques[rows], rows.tolist())
         new[going, _CLOCK] += self.dt
         return new.reshape(state.shape)
 
@@ -241,12 +243,15 @@ class Cardea:
 
     def outcome(self, state: Tensor) -> Tensor:
         """``Outcome`` of each row as int64 ``[*batch]``, the time limit included."""
+        sound, in_time = self._sound(state), self._in_time(state)
+        if bool((sound & in_time).all()):
+            return torch.full(sound.shape, int(Outcome.RUNNING))
         reached = (_joint_error(state) < self.reached_error) & (
             _joint_speed(state) < self.reached_speed
         )
         verdict = torch.where(reached, int(Outcome.SUCCEEDED), int(Outcome.TIMED_OUT))
-        verdict = torch.where(self._in_time(state), int(Outcome.RUNNING), verdict)
-        return torch.where(self._sound(state), verdict, int(Outcome.FAILED))
+        verdict = torch.where(in_time, int(Outcome.RUNNING), verdict)
+        return torch.where(sound, verdict, int(Outcome.FAILED))
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Figures of finished episodes at their end, each ``[*batch]``.
@@ -299,10 +304,19 @@ class Cardea:
         return state[..., _CLOCK] < self.time_limit - self.dt / 2
 
     def _sound(self, state: Tensor) -> Tensor:
-        # Written so that a comparison with NaN counts as failure.
-        inside = (state[..., _Q].abs() <= _STOPS).all(-1)
-        upright = (state[..., _TILT].abs() <= self.max_tilt) & (state[..., _TROUBLE] == 0)
-        return inside & upright & state.isfinite().all(-1)
+        # A comparison with NaN counts as failure.
+        return (state.abs() <= self._bounds).all(-1)
+
+    @cached_property
+    def _noise(self) -> Tensor:
+        return self.torque_noise * _LIMITS
+
+    @cached_property
+    def _bounds(self) -> Tensor:
+        """Of the magnitudes in a sound state ``[26]``: everything is finite, at least."""
+        bounds = torch.full((26,), torch.finfo(torch.float64).max, dtype=torch.float64)
+        bounds[_Q], bounds[_TILT], bounds[_TROUBLE] = _STOPS, self.max_tilt, 0.0
+        return bounds
 
     @property
     def _substeps(self) -> int:
@@ -311,6 +325,12 @@ class Cardea:
     @property
     def _robot(self) -> Robot:
         return robot(self.physics_dt)
+
+    def _moved(self, state: Tensor, torque: Tensor, numbers: list[int]) -> Tensor:
+        """The rows ``[N, 26]``, whose numbers are ``numbers``, a step later, their clocks aside."""
+        moved = self._move(numbers, state[:, :14].tolist(), torque.tolist())
+        kept = (state[:, _GOAL], torque, state[:, _CLOCK, None])
+        return torch.cat((moved[:, :14], *kept, moved[:, 14:]), -1)
 
     def _move(
         self, numbers: list[int], states: list[list[float]], torques: list[list[float]]

@@ -23,7 +23,12 @@ from edtorch.app.command import (
 from edtorch.app.compute import Compute, check_memory, plan, plan_inverse, uncompiled
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under, unknown_key
-from edtorch.app.inverse import build_controller, build_inverse_learner, has_inverse
+from edtorch.app.inverse import (
+    build_controller,
+    build_inverse_learner,
+    has_inverse,
+    inverse_path,
+)
 from edtorch.checkpoint import PolicyCard
 from edtorch.closed_form.regulator import Regulator
 from edtorch.dispatch import Wish, choose_path
@@ -357,6 +362,7 @@ def _check(config: DictConfig) -> None:
     check_numbers(config)
     check_seeds(config)
     at_least("eval.episodes", config.eval.episodes, 0)
+    at_least("eval.keep", config.eval.keep, 0)
     for place, minutes in enumerate(config.eval.minutes):
         if not minutes > 0:
             raise ConfigError(f"eval.minutes[{place}]={minutes}: expected a number > 0")
@@ -386,6 +392,11 @@ def build(config: DictConfig) -> Setup:
 
 
 def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) -> Setup:
+    if config.eval.keep and not (sim.spec.goal and config.eval.episodes):
+        raise ConfigError(
+            f"eval.keep={config.eval.keep}: expected 0 without a goal in the domain and"
+            f" eval.episodes, here {sim.spec.name} and {config.eval.episodes}"
+        )
     unwrap = config.observation.unwrap
     with under("observation"):
         world = World(sim, compute.dtype, compute.device, unwrap)
@@ -395,7 +406,8 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
     indicator = compiled = None
     if has_inverse(config):
         learner = build_inverse_learner(config, sim, compute.dtype)
-        path = "inverse policy, its adjoint written out"
+        check_memory(learner, world, config.seeds)
+        path = inverse_path(learner)
     else:
         forward = _build_forward(config, world, compute)
         learner, path = forward.learner, forward.path

@@ -11,7 +11,8 @@ import torch
 
 from edtorch.app.errors import ConfigError
 from edtorch.compilation import CannotCompile, Wish, check_compiler
-from edtorch.learner import Learner
+from edtorch.inverse.learner import InverseLearner
+from edtorch.learner import AnyLearner, Learner
 from edtorch.records import Budget
 from edtorch.streams import BLOCK
 from edtorch.world import World
@@ -122,18 +123,36 @@ def plan_inverse(config: Any, budget: Budget, world: World) -> Compute:
 def needed_bytes(learner: Learner, world: World, learners: int) -> int:
     """Memory that a population takes, about: its random numbers, its state (now and before), and
     the tape of an uncompiled unroll."""
-    numbers = world.uniforms + len(world.spec.action)
     states = sum(p.numel() for p in learner.model.parameters()) + sum(
         p.numel() for p in learner.policy.parameters()
     )
     squares = len(world.spec.state) ** 2
-    per_learner = 2 * BLOCK * numbers + 4 * states + 100 * squares + 500
+    per_learner = _random_numbers(world) + 4 * states + 100 * squares + 500
     return learners * per_learner * _BYTES
 
 
-def check_memory(learner: Learner, world: World, learners: int) -> None:
+def needed_bytes_inverse(learner: InverseLearner, world: World, learners: int) -> int:
+    """``needed_bytes`` of learners of inverse models, whose sums of products take nearly all: now,
+    before, and twice more while they are being solved."""
+    one = learner.initial([0])
+    parts = (one.model, one.policy, one.fit, one.noise, one.step)
+    states = sum(p.numel() for part in parts for p in part.values())
+    return learners * (_random_numbers(world) + 4 * states + 500) * _BYTES
+
+
+def _random_numbers(world: World) -> int:
+    """Of a learner, that are held at a time."""
+    return 2 * BLOCK * (world.uniforms + len(world.spec.action))
+
+
+def check_memory(learner: AnyLearner, world: World, learners: int) -> None:
     """Refuse a population that the machine has no memory for; ConfigError."""
-    needed, device = needed_bytes(learner, world, learners), world.device
+    if isinstance(learner, InverseLearner):
+        needed = needed_bytes_inverse(learner, world, learners)
+    else:
+        assert isinstance(learner, Learner)
+        needed = needed_bytes(learner, world, learners)
+    device = world.device
     if device.type == "cuda":
         free, _ = torch.cuda.mem_get_info(device)
     else:

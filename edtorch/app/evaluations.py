@@ -9,10 +9,12 @@ from typing import Any
 from omegaconf import DictConfig
 
 from edtorch.app.build import Setup
+from edtorch.app.keeping import Kept, better
 from edtorch.evaluation import evaluate
 from edtorch.interact import Training
 from edtorch.records import Episode
 from edtorch.report.statistics import goal_figures
+from edtorch.types import Parameters
 
 
 @dataclass(frozen=True)
@@ -28,14 +30,19 @@ class Evaluation:
 
 
 class Evaluations:
-    """Evaluates when it is time; ``wall_s`` and ``cpu_s`` are what that has taken so far."""
+    """Evaluates when it is time; ``wall_s`` and ``cpu_s`` are what that has taken so far.
+
+    kept: with ``eval.keep``, the best policies so far, judged by as many further episodes.
+    """
 
     def __init__(self, setup: Setup, config: DictConfig) -> None:
         self._setup = setup
         self._episodes: int = config.eval.episodes
+        self._judged: int = config.eval.keep
         minutes = config.eval.minutes if self._episodes else []
         self._due = sorted({max(1, round(60 * m / setup.world.dt)) for m in minutes})
         self.done: list[Evaluation] = []
+        self.kept: Kept | None = None
         self._clock = -1
         self.wall_s = self.cpu_s = 0.0
 
@@ -59,17 +66,28 @@ class Evaluations:
         wall, cpu = time.monotonic(), time.process_time()
         learner = self._setup.learner
         # A world of its own: one that wraps a simulator is still in its last episode.
-        episodes = [[] for _ in training.seeds]
+        episodes, minutes = [[] for _ in training.seeds], training.seconds / 60
         if self._episodes:
-            episodes = evaluate(
+            parameters, count = learner.acting(training.learners), self._episodes
+            found = evaluate(
                 learner.policy,
-                learner.acting(training.learners),
+                parameters,
                 self._setup.calm(),
                 training.seeds,
-                self._episodes,
+                count + self._judged,
             )
+            episodes = [own[:count] for own in found]
+            if self._judged:
+                judged = [own[count:] for own in found]
+                self.kept = better(self.kept, parameters, minutes, judged, episodes)
         self._clock = training.clock
-        self.done.append(Evaluation(training.seconds / 60, episodes))
+        self.done.append(Evaluation(minutes, episodes))
         self.wall_s += time.monotonic() - wall
         self.cpu_s += time.process_time() - cpu
         return self.done[-1]
+
+    def to_save(self, training: Training) -> Parameters:
+        """The policies that the run is to leave: those kept, or those of now."""
+        if self.kept is None:
+            return self._setup.learner.acting(training.learners)
+        return self.kept.parameters

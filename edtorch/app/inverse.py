@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from edtorch.app.checks import at_least
 from edtorch.app.command import variant
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
+from edtorch.dispatch import Wish
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import Coordinates, JointCoordinates
 from edtorch.inverse.features import FEATURES, InverseFeatures
+from edtorch.inverse.generic import GenericInverse
 from edtorch.inverse.hand import HandCoordinates
 from edtorch.inverse.layout import Layout
 from edtorch.inverse.learner import InverseLearner, Trust
 from edtorch.inverse.policy import InversePolicy
-from edtorch.inverse.unroll import InverseUnroll
+from edtorch.inverse.unroll import InverseUnroll, InverseValue
+from edtorch.noise import Noise
+from edtorch.transform import FirstOrder, MeanOnly
 from edtorch.unroll import Horizon
 from sims.base import Jointed, Sim
 
 VARIANTS = ("none", "learned", "kinematic")
-MEAN_ONLY = "edtorch.transform.MeanOnly"
 
 
 def has_inverse(config: Any) -> bool:
@@ -74,6 +77,55 @@ def build_controller(config: Any, sim: Sim) -> InverseController:
     return InverseController(policy, features, _coordinates(config, layout, sim))
 
 
+def _value(config: DictConfig, policy: InversePolicy, horizon: Horizon) -> InverseValue:
+    """The way to value and gradient: written out where it is, else torch's differentiation."""
+    wish, deviation = config.unroll.path, config.unroll.start_deviation
+    if wish not in get_args(Wish):
+        raise ConfigError(f"unroll.path={wish}: expected one of {', '.join(get_args(Wish))}")
+    for key, only in (("start", "state"), ("direction", "gradient")):
+        if config.unroll[key] != only:
+            raise ConfigError(
+                f"unroll.{key}={config.unroll[key]}: expected {only} with an inverse policy"
+            )
+    at_least("unroll.start_deviation", deviation, 0)
+    transform = construct(
+        "transform",
+        config.transform,
+        "move",
+        "reward",
+        "keeps_positive",
+        states=policy.layout.size + policy.layout.joints,
+        generator=torch.Generator().manual_seed(config.seed),
+    )
+    if deviation > 0 and not transform.propagates_covariance:
+        raise ConfigError(
+            f"unroll.start_deviation={deviation}: expected 0 with this transform, which leaves the"
+            " covariance out; transform=first takes it in"
+        )
+    written_out = isinstance(transform, MeanOnly | FirstOrder)
+    if wish == "closed_form" and not written_out:
+        raise ConfigError(
+            "unroll.path=closed_form: expected transform=mean_only or first with an inverse"
+            f" policy, not {type(transform).__name__}"
+        )
+    with under("reward"):
+        if written_out and wish != "generic":
+            covariance = transform.propagates_covariance
+            return InverseUnroll(policy, horizon, config.reward.goal, covariance, deviation)
+        return GenericInverse(policy, horizon, transform, config.reward.goal, deviation)
+
+
+def _noise(config: DictConfig) -> Noise:
+    own = [str(k) for k in config if not str(k).startswith("exploration")]
+    rest = OmegaConf.masked_copy(config, own)
+    noise = construct("noise", rest, "covariance", "update", stretch=1.0)
+    if not noise.is_constant:
+        raise ConfigError(
+            f"noise._target_={config._target_}: expected noise=residual with an inverse policy"
+        )
+    return noise
+
+
 def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> InverseLearner:
     """The learner, from a whole configuration."""
     controller = build_controller(config.inverse, sim)
@@ -81,11 +133,6 @@ def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> I
         raise ConfigError(
             f"compute.precision={config.compute.precision}: expected float64 with an inverse model,"
             " whose sums of products span decades"
-        )
-    if config.transform.get("_target_") != MEAN_ONLY:
-        raise ConfigError(
-            f"transform._target_={config.transform.get('_target_')}: expected {MEAN_ONLY} with an"
-            " inverse policy"
         )
     if config.log.value_error:
         raise ConfigError("log.value_error=true: expected false with an inverse policy")
@@ -98,14 +145,19 @@ def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> I
     with under("unroll"):
         unroll = config.unroll
         horizon = Horizon(unroll.horizon, unroll.dt, unroll.discount, unroll.dt, unroll.reading)
-    with under("reward"):
-        value = InverseUnroll(controller.policy, horizon, config.reward.goal)
+    value = _value(config, controller.policy, horizon)
+    noise = _noise(config.noise) if value.propagates_covariance else None
     if variant(config.command) != "free":
         raise ConfigError(
             f"command={config.command.variant}: expected free with an inverse policy, whose error"
             " has a limit of its own (inverse.limit)"
         )
     at_least("noise.exploration", config.noise.exploration, 0)
+    if config.noise.exploration_start is not None:
+        raise ConfigError(
+            f"noise.exploration_start={config.noise.exploration_start}: expected null with an"
+            " inverse policy"
+        )
     fit = construct("fit", config.fit, "initial", "update")
     rule = construct("step", config.step, "initial")
     with under("inverse"):
@@ -119,4 +171,12 @@ def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> I
             recent=config.inverse.recent,
             exploration=config.noise.exploration,
             trust=trust,
+            noise=noise,
         )
+
+
+def inverse_path(learner: InverseLearner) -> str:
+    """How value and gradient are found, in words."""
+    what = "with covariance" if learner.unroll.propagates_covariance else "mean only"
+    how = "torch's differentiation" if learner.needs_autograd else "its adjoint written out"
+    return f"inverse policy, {what}, {how}"

@@ -211,6 +211,15 @@ class RidgeConfig:
 
 
 @dataclass
+class DecayingFitConfig:
+    """``edtorch.decay.DecayingFit`` of a gradient rule."""
+
+    _target_: str = MISSING
+    rule: RateFitConfig = field(default_factory=RateFitConfig)
+    decay: float = MISSING
+
+
+@dataclass
 class NoInverseConfig:
     """A forward model and a policy of actions."""
 
@@ -424,10 +433,12 @@ class BudgetConfig:
 
 @dataclass
 class EvalConfig:
-    """episodes: fresh ones per seed after training; 0: none; minutes: simulated ones after which
-    there are as many on the way; domain: settings of the domain that are others meanwhile."""
+    """episodes: fresh ones per seed after training; 0: none; keep: further ones, by which the best
+    policy so far is kept; 0: the last policy is; minutes: simulated ones after which there are as
+    many on the way; domain: settings of the domain that are others meanwhile."""
 
     episodes: int = 100
+    keep: int = 0
     minutes: list[float] = field(default_factory=list)
     domain: dict[str, Any] = field(default_factory=dict)
 
@@ -524,6 +535,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "adaptive_schema": AdaptiveConfig,
         "bayesian_schema": BayesianFitConfig,
         "ridge_schema": RidgeConfig,
+        "decaying_fit_schema": DecayingFitConfig,
     },
     "inverse": {
         "none_schema": NoInverseConfig,

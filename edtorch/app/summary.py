@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.table import Table
 
 from edtorch.app.evaluations import Evaluation
+from edtorch.app.keeping import Kept
 from edtorch.app.rundir import command_line, versions
 from edtorch.interact import Training
 from edtorch.learner import Check
@@ -47,9 +48,13 @@ def broken(training: Training) -> dict[int, tuple[str, int]]:
 
 
 def summarise(
-    training: Training, timing: Timing, evaluations: Sequence[Evaluation]
+    training: Training,
+    timing: Timing,
+    evaluations: Sequence[Evaluation],
+    kept: Kept | None = None,
 ) -> dict[str, Any]:
-    """The content of ``summary.json``; ``evaluations``: at least one, the last of the end."""
+    """The content of ``summary.json``; ``evaluations``: at least one, the last of the end; kept:
+    the policies that the run leaves, if those are not the last."""
     last = evaluations[-1]
     has_goal = bool(training.world.spec.goal) and any(last.episodes)
     reached = {}
@@ -59,6 +64,8 @@ def summarise(
             "evaluations": [evaluation.as_json() for evaluation in evaluations],
             "final": last.as_json(),
         }
+    if kept is not None:
+        reached["kept"] = kept.as_json()
     lived = (training.learners.tick.to(torch.float64) * training.world.dt).tolist()
     return {
         "seeds": training.seeds,

@@ -194,8 +194,7 @@ def _learn_and_save(
             timing.cpu_s = time.process_time() - cpu - evaluations.cpu_s
             timing.ticks = int(training.learners.tick.sum())
             save_training(job.path / CHECKPOINT, training)
-            parameters = job.setup.learner.acting(training.learners)
-            save_policy(job.path / POLICY, parameters, job.setup.card)
+            save_policy(job.path / POLICY, evaluations.to_save(training), job.setup.card)
     if job.stop.asked:
         raise KeyboardInterrupt
 
@@ -245,6 +244,8 @@ def _train(job: _Job) -> dict[str, Any]:
         if config.eval.episodes and not evaluations.is_fresh(training):
             console.print(f"{config.eval.episodes} fresh episodes for each policy...")
         evaluations.run(training)
+        if evaluations.kept is not None:
+            save_policy(job.path / POLICY, evaluations.kept.parameters, setup.card)
         timing.eval_s = evaluations.wall_s
         with _timed(timing, "figures_s"):
             if config.log.figures:
@@ -255,7 +256,7 @@ def _train(job: _Job) -> dict[str, Any]:
                     figure = draw(training, job.path, animate=animate)
                 if board is not None:
                     board.writer.add_figure("learning_curve", figure, round(training.seconds))
-        summary = summarise(training, timing, evaluations.done)
+        summary = summarise(training, timing, evaluations.done, evaluations.kept)
         if board is not None:
             board.hparams(flat_settings(config), medians(summary))
     finally:

@@ -39,21 +39,20 @@ class Linear:
     def __init__(self, layout: Layout) -> None:
         positions = layout.size // 2
         self._positions = positions
-        self._angles = layout.angles
-        self._plain = [k for k in range(positions) if k not in layout.angles]
-        self._scale = layout.scale
-        self.outputs = 1 + 2 * len(self._angles) + len(self._plain) + positions + layout.joints
+        self._angles = torch.tensor(layout.angles)
+        plain = [k for k in range(positions) if k not in layout.angles]
+        self._rest = torch.tensor([*plain, *range(positions, layout.size)])
+        self._scale = layout.scale[self._rest]
+        self.outputs = 1 + 2 * len(self._angles) + len(self._rest) + layout.joints
 
     def __call__(self, state: Tensor, acceleration: Tensor) -> Tensor:
         """See ``InverseFeatures``."""
-        scaled = state / self._scale.to(state)
-        angle = state[..., self._angles]
+        angle = state.index_select(-1, self._angles)
         parts = (
             torch.ones_like(state[..., :1]),
             angle.sin(),
             angle.cos(),
-            scaled[..., self._plain],
-            scaled[..., self._positions :],
+            state.index_select(-1, self._rest) / self._scale.to(state),
             acceleration / ACCELERATION,
         )
         return torch.cat(parts, -1)
@@ -70,7 +69,7 @@ class Pairwise:
     def __call__(self, state: Tensor, acceleration: Tensor) -> Tensor:
         """See ``InverseFeatures``."""
         phi = self._linear(state, acceleration)
-        return phi[..., self._first] * phi[..., self._second]
+        return phi.index_select(-1, self._first) * phi.index_select(-1, self._second)
 
 
 class Structured:
@@ -104,7 +103,7 @@ class Structured:
         self._joints, self._size = layout.joints, layout.size
         self._positions = layout.size // 2
         self._scale = layout.scale
-        self._bends = [joints.index(name) for name in bends]
+        self._bends = torch.tensor([joints.index(name) for name in bends])
         self._turn = joints.index(turn)
         self._linear = Linear(layout)
         links = 2 * len(bends)
@@ -127,22 +126,23 @@ class Structured:
         """See ``InverseFeatures``."""
         one = torch.ones_like(state[..., :1])
         scaled = state / self._scale.to(state)
-        link = state[..., self._bends].cumsum(-1)
+        link = state.index_select(-1, self._bends).cumsum(-1)
         e = torch.cat((link.cos(), link.sin()), -1)
-        products = torch.cat((one, e[..., self._first] * e[..., self._second]), -1)
+        square = e.index_select(-1, self._first) * e.index_select(-1, self._second)
+        products = torch.cat((one, square), -1)
         yaw = state[..., self._turn, None]
         sine, cosine = yaw.sin(), yaw.cos()
         n, k = self._joints, self._positions
         base = torch.cat((one, scaled[..., n:k], scaled[..., k + n :]), -1)
         rates = scaled[..., k : k + n]
-        pairs = rates[..., self._rate_first] * rates[..., self._rate_second]
+        first, second = (rates.index_select(-1, k) for k in (self._rate_first, self._rate_second))
         pulled = torch.cat((one, cosine.square(), sine * cosine), -1)
         driven = _outer(pulled, acceleration / ACCELERATION)
         held = _outer(torch.cat((one, sine, cosine), -1), torch.cat((one, e), -1))
         parts = (
             _outer(products, driven),
             _outer(held, base),
-            _outer(products, pairs),
+            _outer(products, first * second),
             self._linear(state, acceleration)[..., 1:],
         )
         return torch.cat(parts, -1)

@@ -15,7 +15,9 @@ from torch import Tensor
 from edtorch.fit import Fit, RecursiveLeastSquares
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import View
-from edtorch.inverse.unroll import InverseUnroll, base_regressor
+from edtorch.inverse.loop import base_acceleration, base_regressor
+from edtorch.inverse.unroll import InverseValue, regressors
+from edtorch.noise import Noise
 from edtorch.policies import explore
 from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
 from edtorch.update import Step, gradient_norm
@@ -57,13 +59,15 @@ class InverseLearner:
     ``policy`` the ``weight`` Theta, its ``step`` the step rule's memory, the last ``states`` and
     ``goals`` to unroll from, and value and gradient of the last update.
 
-    fit: of W, to samples weighted by ``trust``; base_fit: of V; every: ticks between two updates of
-    the policy; recent: states of the last ticks that an update unrolls from; exploration: standard
-    deviation of the Gaussian added to the action, scaled units.
+    fit: of W, to samples weighted by ``trust``; base_fit: of V; noise: rule for nu~ of all
+    accelerations, how they turn out less how the unroll foresees them, None where the value does
+    not use it; every: ticks between two updates of the policy; recent: states of the last ticks
+    that an update unrolls from; exploration: standard deviation of the Gaussian added to the
+    action, scaled units.
     """
 
     policy: InverseController
-    unroll: InverseUnroll
+    unroll: InverseValue
     fit: Fit
     step_rule: Step
     every: int = 5
@@ -71,14 +75,26 @@ class InverseLearner:
     exploration: float = 0.0
     trust: Trust = field(default_factory=Trust)
     base_fit: Fit = field(default_factory=lambda: RecursiveLeastSquares(1000.0, 0.9999))
-    needs_autograd: bool = False
+    noise: Noise | None = None
 
     def __post_init__(self) -> None:
+        if self.unroll.propagates_covariance and self.noise is None:
+            raise ValueError("noise=None: expected a rule for nu~, which the covariance needs")
+        if self.noise is not None and not self.noise.is_constant:
+            raise ValueError(
+                f"noise={type(self.noise).__name__}: expected one that is the same for every state"
+                " with an inverse policy, ResidualNoise"
+            )
         for name in ("every", "recent"):
             if not getattr(self, name) >= 1:
                 raise ValueError(f"{name}={getattr(self, name)}: expected at least one")
         if not self.exploration >= 0:
             raise ValueError(f"exploration={self.exploration}: expected a number >= 0")
+
+    @property
+    def needs_autograd(self) -> bool:
+        """Whether torch's differentiation must be at work."""
+        return self.unroll.needs_autograd
 
     def initial(self, seeds: Sequence[int]) -> LearnerState:
         """Learners that know nothing yet, one per seed."""
@@ -89,7 +105,7 @@ class InverseLearner:
             return torch.zeros(size, *shape, dtype=torch.float64)
 
         inverse = zeros(n, self.policy.features.outputs)
-        base = zeros(p, self.unroll.regressors)
+        base = zeros(p, regressors(self.policy.policy))
         policy = {"weight": zeros(n, self.policy.policy.outputs)}
         fit = {f"inverse.{k}": m for k, m in self.fit.initial(inverse).items()}
         fit |= {f"base.{k}": m for k, m in self.base_fit.initial(base).items()}
@@ -98,7 +114,7 @@ class InverseLearner:
             model={"inverse": inverse, "base": base},
             policy=policy,
             fit=fit,
-            noise={},
+            noise={} if self.noise is None else self.noise.initial(zeros(n + p, 1)),
             limit={},
             step={f"rule.{k}": m for k, m in self.step_rule.initial(policy).items()}
             | {
@@ -147,15 +163,15 @@ class InverseLearner:
             tick=state.tick + transition.valid,
             step=state.step | {"states": states, "goals": goals},
         )
-        value_ok = torch.ones_like(sound)
+        value_ok, floored = torch.ones_like(sound), None
         due = transition.valid & (learned.tick % self.every == 0) & (learned.tick >= self.recent)
         if improve and bool(due.any()):
-            learned, value_ok = self._climb(learned, transition.dt * self.every, due)
+            learned, value_ok, floored = self._climb(learned, transition.dt * self.every, due)
         unbroken = value_ok & fit_ok & (state.sound_ticks == state.tick) & transition.valid
         learned = replace(learned, sound_ticks=state.sound_ticks + unbroken)
         finite = torch.stack([sound, fit_ok, value_ok])
         value, gradient = learned.step["value"], learned.step["gradient"]
-        return learned, Metrics(value, gradient, error, finite, None)
+        return learned, Metrics(value, gradient, error, finite, floored)
 
     def _fit(
         self,
@@ -187,7 +203,7 @@ class InverseLearner:
         error = (fitted.residual / only_known(weight).clamp(min=1e-300)).abs().mean(-1)
 
         change = only_known((after.state - before.state)[..., half:] / dt)
-        psi = only_known(base_regressor(self.unroll.policy, before.state, change[..., :n]))
+        psi = only_known(base_regressor(self.policy.policy, before.state, change[..., :n]))
         base_memory = _part(state.fit, "base.")
         base = self.base_fit.update(state.model["base"], base_memory, psi, change[..., n:], dt)
 
@@ -199,18 +215,41 @@ class InverseLearner:
             "inverse": select(keep, fitted.weight, old),
             "base": select(keep, base.weight, state.model["base"]),
         }
-        return replace(state, model=model, fit=fit), error, fit_ok
+        noise = self._noise(state, before, change, known, dt)
+        return replace(state, model=model, fit=fit, noise=noise), error, fit_ok
+
+    def _noise(
+        self, state: LearnerState, before: View, change: Tensor, known: Tensor, dt: Tensor
+    ) -> Parameters:
+        """The memory of nu~ with one more ``change``, accelerations ``[B, n + p]``."""
+        if self.noise is None:
+            return state.noise
+        policy = self.policy.policy
+        wish = policy.acceleration(state.policy["weight"], before.state, before.goal)
+        psi = base_regressor(policy, before.state, wish)
+        foreseen = torch.cat((wish, base_acceleration(state.model["base"], psi)), -1)
+        error = torch.where(known, change - foreseen, 0.0)
+        squared = error.unsqueeze(-1) * error.unsqueeze(-2) * dt
+        updated = self.noise.update(state.noise, squared, psi, {}, dt)
+        return {
+            name: select(known.squeeze(-1) & _finite(new), new, state.noise[name])
+            for name, new in updated.items()
+        }
 
     def _climb(
         self, state: LearnerState, seconds: Tensor, due: Tensor
-    ) -> tuple[LearnerState, Tensor]:
-        """Steps 3 to 7 of Fig. 1 for the learners that are ``due``; also what is finite."""
+    ) -> tuple[LearnerState, Tensor, Tensor | None]:
+        """Steps 3 to 7 of Fig. 1 for the learners that are ``due``; also what is finite, and from
+        which step of the unroll on a covariance had to be floored."""
         theta, memory = state.policy["weight"], state.step
-        value, gradient = self.unroll(theta, state.model["base"], memory["states"], memory["goals"])
-        size = gradient_norm({"weight": gradient})
+        nu = None
+        if self.noise is not None:
+            nu = self.noise.covariance(state.noise, state.model["base"][..., :1, :])
+        here = self.unroll(theta, state.model["base"], memory["states"], memory["goals"], nu)
+        value, size = here.value, gradient_norm(here.gradient)
         value_ok = torch.isfinite(value + size)
         rule = _part(memory, "rule.")
-        policy, rule = self.step_rule(state.policy, {"weight": gradient}, rule, seconds)
+        policy, rule = self.step_rule(state.policy, here.gradient, rule, seconds)
         climb = due & value_ok
         step = memory | {
             "value": torch.where(climb, value, memory["value"]),
@@ -218,7 +257,10 @@ class InverseLearner:
         }
         step |= {f"rule.{k}": select(climb, m, memory[f"rule.{k}"]) for k, m in rule.items()}
         weight = select(climb, policy["weight"], theta)
-        return replace(state, policy={"weight": weight}, step=step), value_ok | ~due
+        floored = here.first_floored
+        if floored is not None:
+            floored = torch.where(due, floored, -1)
+        return replace(state, policy={"weight": weight}, step=step), value_ok | ~due, floored
 
 
 def _part(memory: Parameters, prefix: str) -> Parameters:

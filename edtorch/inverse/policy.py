@@ -37,6 +37,8 @@ class InversePolicy:
             raise ValueError(f"limit={self.limit}: expected a number > 0, or null")
         if self.form not in get_args(Form):
             raise ValueError(f"form={self.form}: expected one of {', '.join(get_args(Form))}")
+        # Made now: a tensor that is first made inside a transform of torch.func must not leave it.
+        _ = self.of_state, self.of_goal, self.constant
 
     @property
     def outputs(self) -> int:

@@ -10,28 +10,23 @@ therefore the policy alone, with a linear model of how the base answers:
 
     value = -sum_tau w_tau |q_tau - g|^2,  tau = 1..T.
 
-This is a loop of ``edtorch.inverse.adjoint``.
+This is a loop of ``edtorch.inverse.adjoint``; with the covariance, it adds -sum_tau w_tau tr of
+Sigma_qq, with nu from accelerations that turn out otherwise than foreseen.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from edtorch.inverse.adjoint import Adjoint, Loop, adjoint
+from edtorch.inverse.covariance import adjoint_with_covariance
 from edtorch.inverse.policy import InversePolicy
-from edtorch.unroll import Horizon
-
-
-def base_regressor(policy: InversePolicy, state: Tensor, acceleration: Tensor) -> Tensor:
-    """psi(s, a) ``[*batch, 1 + 4 n + 2 p]``, physical units."""
-    n = policy.layout.joints
-    q = state[..., :n]
-    one = torch.ones_like(state[..., :1])
-    return torch.cat((one, state[..., n:], q.sin(), q.cos(), acceleration), -1)
+from edtorch.unroll import Horizon, ValueGradient
 
 
 def driven(policy: InversePolicy, theta: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
@@ -50,41 +45,113 @@ def by_theta(policy: InversePolicy, found: Adjoint, goal: Tensor) -> Tensor:
     return total * (policy.gain / policy.unit)
 
 
+class InverseValue(Protocol):
+    """A way to the value of inverse policies and its gradient, from M states of each learner."""
+
+    @property
+    def policy(self) -> InversePolicy:
+        """The policy."""
+        ...
+
+    @property
+    def needs_autograd(self) -> bool:
+        """Whether torch's differentiation must be at work."""
+        ...
+
+    @property
+    def propagates_covariance(self) -> bool:
+        """Whether nu enters."""
+        ...
+
+    def __call__(
+        self,
+        theta: Tensor,
+        base: Tensor,
+        state: Tensor,
+        goal: Tensor,
+        noise: Tensor | None = None,
+        /,
+    ) -> ValueGradient:
+        """Value ``[B]`` and dV/dTheta (``weight``), means over the M states.
+
+        theta ``[B, n, outputs]``, base V ``[B, p, regressors]``, state ``[B, M, 2 (n + p)]``,
+        goal ``[B, M, n]``, physical units; noise nu~ of all accelerations, per second,
+        ``[B, n + p, n + p]``, None for none.
+        """
+        ...
+
+
+def check_horizon(horizon: Horizon) -> None:
+    """Refuse a value that counts the present state."""
+    if horizon.reading != "figure":
+        raise ValueError(
+            f"reading={horizon.reading}: expected figure with an inverse policy, whose"
+            " present distance from the goal no action changes"
+        )
+
+
+def check_weight(weight: float) -> None:
+    """Refuse a reward that is none."""
+    if not weight > 0:
+        raise ValueError(f"goal={weight}: expected a number > 0")
+
+
+def regressors(policy: InversePolicy) -> int:
+    """Size of psi."""
+    return 1 + 4 * policy.layout.joints + 2 * policy.layout.others
+
+
+def start_covariance(policy: InversePolicy, deviation: float) -> Tensor:
+    """Sigma ``[S, S]`` that an unroll begins with; deviation: of each component, scaled."""
+    return (deviation * policy.layout.scale).square().diag()
+
+
+def step_noise(policy: InversePolicy, noise: Tensor, dt: float) -> Tensor:
+    """nu ``[B, S, S]`` of one step from nu~ ``[B, n + p, n + p]`` per second.
+
+    The mean of white accelerations over the step has the covariance nu~ / dt.
+    """
+    pushed = _pushed(policy, dt).to(noise)
+    return pushed @ (noise / dt) @ pushed.mT
+
+
+def _pushed(policy: InversePolicy, dt: float) -> Tensor:
+    """The effect of all accelerations in one step, ``[S, n + p]``."""
+    eye = torch.eye(policy.layout.size // 2, dtype=torch.float64)
+    return torch.cat((0.5 * dt * dt * eye, dt * eye))
+
+
 @dataclass(frozen=True)
 class InverseUnroll:
     """Value and gradient of an inverse policy, from several states of each learner at once.
 
-    weight: of the squared distance from the goal, in the reward.
+    weight: of the squared distance from the goal, in the reward; propagates_covariance: to first
+    order, from a covariance of start_deviation^2 (scaled) on.
     """
 
     policy: InversePolicy
     horizon: Horizon
     weight: float = 1.0
+    propagates_covariance: bool = False
+    start_deviation: float = 0.0
+    needs_autograd: bool = False
 
     def __post_init__(self) -> None:
-        if self.horizon.reading != "figure":
-            raise ValueError(
-                f"reading={self.horizon.reading}: expected figure with an inverse policy, whose"
-                " present distance from the goal no action changes"
-            )
-        if not self.weight > 0:
-            raise ValueError(f"goal={self.weight}: expected a number > 0")
-
-    @property
-    def regressors(self) -> int:
-        """Size of psi."""
-        layout = self.policy.layout
-        return 1 + 4 * layout.joints + 2 * layout.others
+        check_horizon(self.horizon)
+        check_weight(self.weight)
 
     @cached_property
     def _integration(self) -> tuple[Tensor, Tensor]:
         """F ``[S, S]`` and the effect of all accelerations ``[S, n + p]``."""
-        layout, d = self.policy.layout, self.horizon.dt
+        layout = self.policy.layout
         half = layout.size // 2
-        eye = torch.eye(half, dtype=torch.float64)
         free = torch.eye(layout.size, dtype=torch.float64)
-        free[:half, half:] = d * eye
-        return free, torch.cat((0.5 * d * d * eye, d * eye))
+        free[:half, half:].diagonal().fill_(self.horizon.dt)
+        return free, _pushed(self.policy, self.horizon.dt)
+
+    @cached_property
+    def _start(self) -> Tensor:
+        return start_covariance(self.policy, self.start_deviation)
 
     @cached_property
     def _angles(self) -> Tensor:
@@ -105,32 +172,26 @@ class InverseUnroll:
         return step, (pushed[:, n:] @ base[..., :1]).mT
 
     def __call__(
-        self, theta: Tensor, base: Tensor, state: Tensor, goal: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Value ``[B]`` and dV/dTheta ``[B, n, outputs]``, means over the M states.
-
-        theta ``[B, n, outputs]``, base V ``[B, p, regressors]``, state ``[B, M, 2 (n + p)]``,
-        goal ``[B, M, n]``, physical units.
-        """
+        self,
+        theta: Tensor,
+        base: Tensor,
+        state: Tensor,
+        goal: Tensor,
+        noise: Tensor | None = None,
+    ) -> ValueGradient:
+        """See ``InverseValue``."""
         policy = self.policy
         step, shift = self._step(base)
         loop = Loop(
             step, shift, *driven(policy, theta, goal), self._angles, policy.limit is not None
         )
         weights = [w * self.weight for w in self.horizon.weights()]
-        found = adjoint(loop, state, goal, weights)
-        return found.value.mean(-1), by_theta(policy, found, goal) / state.shape[-2]
-
-    def plain(self, theta: Tensor, base: Tensor, state: Tensor, goal: Tensor) -> Tensor:
-        """The value ``[B]`` step by step, as it is written above: the oracle of ``__call__``."""
-        policy, d = self.policy, self.horizon.dt
-        half, n = policy.layout.size // 2, policy.layout.joints
-        value = state.new_zeros(state.shape[:-1])
-        for w in self.horizon.weights():
-            a = policy.acceleration(theta.unsqueeze(-3), state, goal)
-            b = base_regressor(policy, state, a) @ base.mT
-            push = torch.cat((a, b), -1)
-            position, rate = state[..., :half], state[..., half:]
-            state = torch.cat((position + d * rate + 0.5 * d * d * push, rate + d * push), -1)
-            value = value - w * self.weight * (state[..., :n] - goal).square().sum(-1)
-        return value.mean(-1)
+        if self.propagates_covariance:
+            half = policy.layout.size // 2
+            noise = base.new_zeros(len(base), half, half) if noise is None else noise
+            nu = step_noise(policy, noise, self.horizon.dt)
+            found = adjoint_with_covariance(loop, state, goal, weights, nu, self._start)
+        else:
+            found = adjoint(loop, state, goal, weights)
+        gradient = by_theta(policy, found, goal) / state.shape[-2]
+        return ValueGradient(found.value.mean(-1), {"weight": gradient})

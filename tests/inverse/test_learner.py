@@ -17,6 +17,7 @@ from edtorch.inverse.layout import Layout
 from edtorch.inverse.learner import InverseLearner, Trust
 from edtorch.inverse.policy import InversePolicy
 from edtorch.inverse.unroll import InverseUnroll
+from edtorch.noise import LinearNoise, ResidualNoise
 from edtorch.records import Budget
 from edtorch.ridge import Ridge
 from edtorch.types import Transition
@@ -124,3 +125,36 @@ def test_refuses_domains_without_a_goal() -> None:
     for sim in (Bicycle(), LinearSystem([[1.0]], [[1.0]])):
         with pytest.raises(ValueError, match="expected a domain with a goal"):
             Layout(sim.spec)
+
+
+def test_the_noise_is_what_the_unroll_did_not_foresee() -> None:
+    """nu~ = rate dt e e' dt after one tick; e: the accelerations, where the policy wants none."""
+    policy = _learner().policy
+    unroll = InverseUnroll(policy.policy, Horizon(25, 0.05, 1.0, 0.05), propagates_covariance=True)
+    learner = replace(_learner(), unroll=unroll, noise=ResidualNoise(2.0))
+    observation = torch.rand(1, 17, dtype=torch.float64)
+    following = observation + 0.01 * torch.rand(1, 17, dtype=torch.float64)
+    action, dt = torch.rand(1, 5, dtype=torch.float64), torch.tensor(0.02, dtype=torch.float64)
+    transition = Transition(observation, action, following, dt, torch.tensor([True]))
+    state, _ = learner.step(learner.initial([0]), transition)
+    e = (following - observation)[0, 6:12] * 3.0 / dt
+    torch.testing.assert_close(state.noise["nu"][0], 2.0 * dt * e.outer(e) * dt)
+
+
+def test_learns_with_the_covariance() -> None:
+    policy = _learner().policy
+    unroll = InverseUnroll(policy.policy, Horizon(25, 0.05, 1.0, 0.05), propagates_covariance=True)
+    learner = replace(_learner(), unroll=unroll, noise=ResidualNoise(1.0))
+    training = Training(learner, World(Masses()), [3], Budget(seconds=15.0))
+    training.advance(10**9)
+    assert _errors(training)[0] < 0.2
+    assert bool(training.finite.all())
+
+
+def test_refuses_a_covariance_without_noise_and_noise_that_is_not_constant() -> None:
+    policy = _learner().policy
+    unroll = InverseUnroll(policy.policy, Horizon(25, 0.05, 1.0, 0.05), propagates_covariance=True)
+    with pytest.raises(ValueError, match=r"^noise=None"):
+        replace(_learner(), unroll=unroll)
+    with pytest.raises(ValueError, match=r"^noise=LinearNoise"):
+        replace(_learner(), unroll=unroll, noise=LinearNoise(1.0))
