@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -506,10 +506,10 @@ class Bicycle:
         """What a picture must know to say where the rider hangs: the constants, as numbers, and the
         wind in each step of ``trail``."""
         last = self.constants(trail[-1])
-        numbers = {f.name: getattr(last, f.name) for f in fields(last)}
-        numbers = {k: float(v) if isinstance(v, Tensor) else v for k, v in numbers.items()}
+        given = {f.name: getattr(last, f.name) for f in fields(last)}
+        numbers: Any = {k: float(v) for k, v in given.items() if isinstance(v, Tensor)}
         wind = trail[:, self._places["gust"]][:, 0] if self._gusts is not None else None
-        return {"physics": Physics(**numbers), "dt": self.dt, "side_force": wind}
+        return {"physics": replace(last, **numbers), "dt": self.dt, "side_force": wind}
 
 
 def _expect(name: str, value: float, expected: str, holds: Callable[[float], bool]) -> None:

@@ -69,10 +69,14 @@ class Sensed:
         """Whether the sim's ticks can be compiled."""
         return bool(getattr(self.sim, "traceable", False))
 
-    @cached_property
+    @property
     def spec(self) -> Spec:
         """The facts of the domain: the sim's, and a uniform number more for each component at each
         step and start (whatever its noise, so that other noise leaves the other numbers alone)."""
+        return self._spec
+
+    @cached_property
+    def _spec(self) -> Spec:
         inner = self.sim.spec
         return replace(
             inner,

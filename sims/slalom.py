@@ -29,10 +29,10 @@ class Slalom(Bicycle):
     the one after it is next either way.
 
     All is as in ``sims.bicycle.Bicycle`` (its harder worlds too) but for the following.
-    ``angle_to_goal`` is to the middle of the gate that is steered for: the next one, until the front
-    tyre is within ``look_ahead`` of its line, where the angle to it begins to run away, and from
-    there the one after it, the last one at the end.  It leaps in between: such a step is none to
-    learn from (``stepped``).  The start points
+    ``angle_to_goal`` is to the middle of the gate that is steered for: the next one, until the
+    front tyre is within ``look_ahead`` of its line, where the angle to it begins to run away, and
+    from there the one after it, the last one at the end.  It leaps in between: such a step is none
+    to learn from (``stepped``).  The start points
     along the line within 0.2 rad either way.  End: FAILED as ever; SUCCEEDED with the last gate if
     all have been passed; TIMED_OUT with the last gate if not, or after ``time_limit``.
 

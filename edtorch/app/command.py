@@ -111,7 +111,6 @@ def build_schedule(config: Any, dt: float) -> Schedule:
 
 def build_exploration(config: Any, dt: float) -> float | Annealed:
     """The deviation of the exploration, from the group ``noise``."""
-    at_least("noise.exploration", config.exploration, 0)
     if config.exploration_start is None:
         return config.exploration
     at_least("noise.exploration_start", config.exploration_start, 0)

@@ -363,8 +363,8 @@ class SafeConfig(RampConfig):
     later; deviations: standard deviations to keep off; horizon: steps predicted; dt: seconds a
     step."""
 
-    share_start: float = 0.3
-    share: float = 0.7
+    share_start: float = 0.05
+    share: float = 0.95
     deviations: float = 0.0
     horizon: int = 45
     dt: float = 0.051

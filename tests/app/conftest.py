@@ -124,7 +124,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "finished"
     result = call(
         "edtorch-train",
-        "experiment=bicycle",
+        "experiment=bicycle_squared",
         "seeds=2",
         "seed=3",
         "train.seconds=12",

@@ -90,7 +90,7 @@ def test_the_summary_has_every_figure(finished: Path) -> None:
         "min": None,
         "max": None,
     }
-    assert summary["command"].startswith("edtorch-train experiment=bicycle")
+    assert summary["command"].startswith("edtorch-train experiment=bicycle_squared")
     assert {"edtorch", "torch", "python"} <= set(summary["versions"])
     assert summary["ticks"] == 2 * 1200
     assert summary["ticks_per_cpu_s"] == pytest.approx(2400 / summary["cpu_s"])

@@ -75,6 +75,10 @@ def test_learning_figures_keep_learners_apart() -> None:
     assert figures["seconds_before_first_ride"]["median"] == 16.0
     assert figures["falls_after_first_ride"]["per_seed"] == [0, 0]
     assert figures["never_rode"] == [8]
+    assert figures["zero_fall_rate"] == 0.0
+    lucky = learning_figures(_episodes((400, RODE), (2, FELL), row=0), [7, 8], [402.0, 30.0])
+    # The second has not fallen, but has not ridden either.
+    assert lucky["zero_fall_rate"] == 0.5
     assert by_row(mixed, 2) == [quick, slow]
 
 
@@ -97,8 +101,12 @@ def test_evaluation_figures() -> None:
     assert over == pytest.approx((360 / 356 + 380 / 360) / 2)
     assert none is None
     assert figures["episode_s"]["per_seed"] == [370, 501]
+    assert figures["goal_time_all_s"] == {"median": 380, "p95": 400, "max": 400}
+    assert evaluation_figures([[]])["goal_time_all_s"]["median"] is None
 
 
 def test_evaluation_of_nothing() -> None:
-    for figure in evaluation_figures([[], []]).values():
+    figures = evaluation_figures([[], []])
+    assert figures.pop("goal_time_all_s") == {"median": None, "p95": None, "max": None}
+    for figure in figures.values():
         assert figure == {"per_seed": [None, None], "median": None, "min": None, "max": None}

@@ -118,8 +118,8 @@ def test_the_tyres_path_has_its_length_through_the_change() -> None:
 
 
 def test_the_shortest_time_through_the_change() -> None:
-    ahead = {"start_heading_low": -math.pi / 2, "start_heading_high": -math.pi / 2}
-    sim = Bicycle(change_at=180.0, change=CHANGE, **ahead)
+    ahead = -math.pi / 2
+    sim = Bicycle(change_at=180.0, change=CHANGE, start_heading_low=ahead, start_heading_high=ahead)
     start = sim.initial(torch.zeros(3, 1).double())
     start[:, 10] = torch.tensor([0.0, 18_000.0, 1e6]).double()
     shortest = sim.measures(start, start, torch.zeros(3).double())["shortest_time_s"]

@@ -71,8 +71,8 @@ def test_errors_have_their_standard_deviation_and_no_memory() -> None:
 
 
 def test_an_angle_that_wraps_stays_within_its_period() -> None:
-    west = {"start_heading_low": math.pi / 2, "start_heading_high": math.pi / 2}
-    sim = Sensed(Bicycle(**west), {"angle_to_goal": 0.1})
+    west = Bicycle(start_heading_low=math.pi / 2, start_heading_high=math.pi / 2)
+    sim = Sensed(west, {"angle_to_goal": 0.1})
     angle = sim.observe(sim.initial(uniform(1000, 6)))[:, 4]
     assert float(angle.abs().max()) <= math.pi
     assert 300 < int((angle > 0).sum()) < 700
@@ -81,14 +81,13 @@ def test_an_angle_that_wraps_stays_within_its_period() -> None:
 
 
 def test_offers_what_the_sim_offers() -> None:
-    sim = Sensed(Slalom(spread=0.3, change_at=1.0, change={"v": 5.0}), {}, 1)
+    inner = Slalom(spread=0.3, change_at=1.0, change={"v": 5.0})
+    sim = Sensed(inner, {}, 1)
     assert isinstance(sim, Pictured) and isinstance(sim, Measured) and isinstance(sim, Lasting)
     assert not isinstance(sim, Invertible)
     assert sim.traceable and sim.lasting == tuple(range(10, 18))
     states = torch.stack(ride(sim, 3, batch=1))[:, 0]
     assert sim.frame(states).shape == (270, 480, 3)
-    inner = sim.sim
-    assert isinstance(inner, Measured)
     control, own = sim.yardsticks()["lqr"], inner.yardsticks()["lqr"]
     assert torch.equal(control(states[-1]), own(states[-1, : inner.width + 3]))
     linear = Sensed(LinearSystem([[1.0]], [[1.0]]))

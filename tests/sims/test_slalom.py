@@ -42,7 +42,7 @@ def test_gates_are_alternately_left_and_right() -> None:
 
 
 def test_gates_are_passed_between_their_posts() -> None:
-    sim = Slalom()
+    sim = Slalom(look_ahead=0.0)
     for y, passed in ((5.0, 1), (3.01, 1), (6.99, 1), (2.99, 0), (7.01, 0), (-5.0, 0)):
         before = onward(sim, at(sim, 39.96, y))
         assert before[10:].tolist() == [0, 0, 0] and bool(sim.stepped(before))
@@ -53,6 +53,21 @@ def test_gates_are_passed_between_their_posts() -> None:
     assert isinstance(sim, Fallible)
     left, right = angle(sim, at(sim, 39.9, 5.0)), angle(sim, at(sim, 40.1, 5.0, 1))
     assert left == pytest.approx(0) and right < -0.2
+
+
+def test_a_gate_that_is_near_is_not_steered_for_any_more() -> None:
+    sim = Slalom(look_ahead=6.0)
+    state = onward(sim, at(sim, 33.96, 4.0))
+    assert angle(sim, state) == pytest.approx(math.atan2(1.0, 40 - float(state[6])), abs=1e-3)
+    assert bool(sim.stepped(state))
+    state = onward(sim, state)
+    # Six metres before its line; it is not reached yet, and counts when it is.
+    assert angle(sim, state) == pytest.approx(math.atan2(-9.0, 80 - float(state[6])), abs=1e-3)
+    assert state[10:12].tolist() == [0, 0] and not bool(sim.stepped(state))
+    near = onward(sim, at(sim, 39.99, 4.0))
+    assert near[10:12].tolist() == [1, 1] and bool(sim.stepped(near))
+    last = onward(sim, at(sim, 396, -5.0, 9, 9))
+    assert angle(sim, last) == pytest.approx(0.0, abs=1e-3) and bool(sim.stepped(last))
 
 
 def test_it_ends_with_the_last_gate() -> None:
