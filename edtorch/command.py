@@ -76,7 +76,9 @@ class Safe:
     model, policy: templates, linear; noise: the rule for nu~, needed where deviations k > 0; dt:
     seconds a step of the prediction; steps: how many; limits: by index, in scaled units; share: of
     a limit that a command may use up, a function of the age, since a young model's predictions are
-    not to be relied on.  The response is that of the other components to this one.
+    not to be relied on; actions: bounds of the actions, by index, in scaled units, which the
+    response is not to exceed: beyond them the loop is not the linear one that was predicted.  The
+    response is that of the other components to this one.
     """
 
     ramp: Ramp
@@ -88,6 +90,7 @@ class Safe:
     limits: Sequence[tuple[int, float]]
     share: Annealed
     deviations: float = 0.0
+    actions: Sequence[tuple[int, float]] = ()
     rest: Tensor = field(init=False)
 
     def __post_init__(self) -> None:
@@ -101,6 +104,9 @@ class Safe:
         for name, share in (("share_start", self.share.start), ("share", self.share.final)):
             if not 0 < share <= 1:
                 raise ValueError(f"{name}={share}: expected a number in (0, 1]")
+        for index, bound in self.actions:
+            if not bound > 0:
+                raise ValueError(f"actions[{index}]={bound}: expected a number > 0")
         if not self.deviations >= 0:
             raise ValueError(f"deviations={self.deviations}: expected a number >= 0")
         if self.deviations > 0 and (self.noise is None or not self.noise.is_constant):
@@ -134,6 +140,9 @@ class Safe:
         allowed = self.ramp.bound(ticks, self.ramp.dtype)
         share = self.share(ticks, self.ramp.dtype)
         for _ in range(self.steps):
+            for index, bound in self.actions:
+                action = (loop.theta[..., index, :] * mean).sum(-1)
+                allowed = torch.minimum(allowed, bound / action.abs().clamp(min=_NO_RESPONSE))
             mean = mean + (D @ mean.unsqueeze(-1)).squeeze(-1)
             if watched:
                 half = cov + D @ cov

@@ -143,3 +143,18 @@ def test_the_share_grows_with_age() -> None:
         rule(model, policy, noise, torch.full((2,), age))[:, COMMAND] for age in (0, 10**6)
     )
     assert torch.allclose(old, 4 * young, rtol=1e-9)
+
+
+def test_no_command_takes_an_action_beyond_its_bounds() -> None:
+    model, policy, noise, ages = learned(4)
+    bounds = ((0, 0.2), (1, 0.3))
+    found = safe(limits=((0, 1e6),), actions=bounds)(model, policy, noise, ages)
+    for row in range(4):
+        theta = policy["weight"][row].numpy()
+        path = responses(loop(model["weight"][row], policy["weight"][row]))
+        states = np.vstack([np.eye(N)[COMMAND], path[:-1]])
+        states[:, COMMAND] = 1.0
+        used = float(found[row, COMMAND]) * np.abs(states @ theta.T).max(0)
+        assert max(used / np.array([0.2, 0.3])) == pytest.approx(1.0, rel=1e-9)
+    with pytest.raises(ValueError, match=r"actions\[0\]=0.0: expected a number > 0"):
+        safe(actions=((0, 0.0),))

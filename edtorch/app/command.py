@@ -42,6 +42,14 @@ def limits(spec: Spec) -> list[tuple[int, float]]:
     return [(i, q.limit / q.scale) for i, q in enumerate(spec.state) if math.isfinite(q.limit)]
 
 
+def action_bounds(spec: Spec) -> tuple[tuple[int, float], ...]:
+    """The actions that are clipped, and how far from zero each may be in scaled units."""
+    if not spec.clip_action:
+        return ()
+    bounds = ((i, min(-q.low, q.high) / q.scale) for i, q in enumerate(spec.action))
+    return tuple((i, bound) for i, bound in bounds if math.isfinite(bound))
+
+
 def _ramp(config: Any, world: World) -> Ramp:
     names = [q.name for q in world.spec.state]
     if config.component not in names:
@@ -81,6 +89,7 @@ def build_command(
             tuple(constrained),
             share,
             config.deviations,
+            action_bounds(world.spec) if config.actions else (),
         )
 
 

@@ -360,12 +360,13 @@ class RampConfig:
 @dataclass
 class SafeConfig(RampConfig):
     """share_start, share: of the limits that a command may use up, for a newborn learner and
-    later; deviations: standard deviations to keep off; horizon: steps predicted; dt: seconds a
-    step."""
+    later; deviations: standard deviations to keep off; actions: whether the bounds of the actions
+    are kept as well; horizon: steps predicted; dt: seconds a step."""
 
     share_start: float = 0.05
     share: float = 0.95
     deviations: float = 0.0
+    actions: bool = False
     horizon: int = 45
     dt: float = 0.051
 

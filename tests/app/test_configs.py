@@ -74,7 +74,8 @@ def test_experiment_runs_three_episodes(name: str) -> None:
     limits = ("seeds=2", "train.episodes=3", "train.rides=null", "train.seconds=200")
     if not name.startswith("cardea"):
         # For those who never fall.
-        limits += ("domain.time_limit=20",)
+        world = "domain.sim" if name == "bicycle_sensors" else "domain"
+        limits += (f"{world}.time_limit=20",)
     setup = build(_compose(f"experiment={name}", *limits))
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
     training.advance(10**6)

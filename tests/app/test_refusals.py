@@ -109,8 +109,11 @@ REFUSED = [
     (["compute.device=cuda"], r"compute\.device=cuda: torch .* finds no CUDA device; expected cpu"),
     (["compute.compile=on", "unroll.path=generic"], r"compile=on: expected a closed form to compi"),
     (["seeds=1000000000"], r"seeds=1000000000: takes about .* GiB of memory, .* are free"),
-    (["domain=foo"], r"domain=foo: expected one of bicycle, cardea, gymnasium, linear$"),
-    (["experiment=foo"], r"experiment=foo: expected one of bicycle, bicycle_paper"),
+    (
+        ["domain=foo"],
+        r"domain=foo: expected one of bicycle, bicycle_change, .*cardea, gymnasium, linear, slalom$",
+    ),
+    (["experiment=foo"], r"experiment=foo: expected one of bicycle, .*bicycle_paper"),
     (["model.features=foo"], r"model\.features=foo: expected one of identity, affine"),
     ([f"model.features={THREE}"], r"model\.features\.inputs=3: expected 7"),
     ([f"policy.features={THREE}"], r"policy\.features\.inputs=3: expected 5"),

@@ -51,7 +51,7 @@ def runs(workplace: Path) -> Path:
 @pytest.mark.oracle
 def test_the_committed_results(command: Command, workplace: Path) -> None:
     """The figures of README's table, from the same summaries."""
-    folders = [str(REFERENCE / name) for name in ("bicycle_paper", "bicycle")]
+    folders = [str(REFERENCE / name) for name in ("bicycle_paper", "bicycle_squared")]
     result = command("edtorch-report", *folders)
     assert result.status == 0, result.err
     assert result.err == ""
@@ -59,7 +59,7 @@ def test_the_committed_results(command: Command, workplace: Path) -> None:
     (section,) = _numbers(workplace / "report")["sections"]
     paper, better = section["groups"]
     assert (paper["name"], len(paper["seeds"])) == ("bicycle_paper", 20)
-    assert (better["name"], len(better["seeds"])) == ("bicycle", 24)
+    assert (better["name"], len(better["seeds"])) == ("bicycle_squared", 24)
     for group, median, most in ((paper, 30, 38), (better, 5, 7)):
         falls = group["quantities"]["falls_before_first_ride"]
         assert round(falls["median"]["value"]) == median

@@ -61,7 +61,7 @@ def problem(n: int, m: int, steps: int) -> Problem:
     weight, theta, start = normal(g, batch, n, n + m), normal(g, batch, m, n), normal(g, batch, n)
     noise = torch.stack([random_cost(g, n) for _ in range(batch)])
     cost, weights = random_cost(g, n), dt * 0.97 ** torch.arange(steps, dtype=torch.float64)
-    F, G = torch.eye(n, dtype=torch.float64) + dt * weight[..., :n], dt * weight[..., n:]
+    drift, G = dt * weight[..., :n], dt * weight[..., n:]
     more: Any = {"state_cost": cost, "action_cost": None, "weights": weights}
     belief = Belief(start, torch.zeros_like(noise))
     return Problem(
@@ -72,8 +72,8 @@ def problem(n: int, m: int, steps: int) -> Problem:
         cost,
         weights,
         dt,
-        mean_value_and_gradient(F, G, theta, start, **more),
-        moment_value_and_gradient(F, G, theta, belief, noise, **more),
+        mean_value_and_gradient(drift, G, theta, start, **more),
+        moment_value_and_gradient(drift, G, theta, belief, noise, **more),
     )
 
 
