@@ -1,9 +1,9 @@
 """How many simulated seconds until a policy stabilises the bicycle, though nobody has tried it.
 
 After every tick each learner's policy is closed around the true bicycle, linearised upright and
-straight: it stabilises it if all eigenvalues but the heading's are inside the unit circle, and keeps
-it on course if the heading's is as well.  Told is the first tick from which on that holds to the end
-of what is watched, over seeds.
+straight: it stabilises it if all eigenvalues but the heading's are inside the unit circle, and
+keeps it on course if the heading's is as well.  Told is the first tick from which on that holds to
+the end of what is watched, over seeds.
 
     python -m benchmarks.stabilising [--seeds 200] [--seed 0] [--seconds 10] [--json FILE]
         [OVERRIDE ...]
