@@ -102,6 +102,10 @@ class _Description(pickle.Pickler):
         """What stands for an object."""
         if is_dataclass(obj) and not isinstance(obj, type):
             return type(obj), tuple(getattr(obj, f.name) for f in fields(obj))
+        if isinstance(obj, torch.nn.Module):
+            # Modules keep names in sets, which come out in another order in every process.
+            state = vars(obj).items()
+            return type(obj), (), {k: sorted(v) if isinstance(v, set) else v for k, v in state}
         if not isinstance(obj, Tensor):
             return NotImplemented
         numbers = obj.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy().tobytes()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import pytest
 import torch
 from torch import Tensor
@@ -55,3 +59,24 @@ def test_where_programs_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("EDTORCH_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", "/caches")
     assert str(cache_folder()) == "/caches/edtorch"
+
+
+def test_a_program_has_one_name_in_all_processes() -> None:
+    # Whatever order sets of strings come out in.
+    code = (
+        "from tests.compiled import training_and_tick as made;"
+        "from edtorch.program import program_name;"
+        "from edtorch.records import Budget;"
+        "print(program_name(made([1], Budget(seconds=1.0))[1], [], []))"
+    )
+    names = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2", "3")
+    }
+    assert len(names) == 1
