@@ -141,8 +141,9 @@ def _make(graph: torch.nn.Module, arguments: tuple[Any, ...], size: int, path: P
         exported = torch.export.export(turned, arguments, strict=False).run_decompositions({})
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            # A copy: torch writes into it, and the options are part of every program's name.
             made = aoti_compile_and_package(
-                exported, package_path=f"{folder}/tick.pt2", inductor_configs=OPTIONS
+                exported, package_path=f"{folder}/tick.pt2", inductor_configs=dict(OPTIONS)
             )
             os.replace(made, path)
 
