@@ -218,7 +218,8 @@ def policy_card(sim: Sim, policy: FeaturedActor, seeds: list[int]) -> PolicyCard
     )
 
 
-def _build_budget(config: Any) -> Budget:
+def build_budget(config: Any) -> Budget:
+    """What a learner may use.  Raises ConfigError."""
     if config.seconds is not None and not (math.isfinite(config.seconds) and config.seconds > 0):
         raise ConfigError(f"train.seconds={config.seconds}: expected a finite number > 0, or null")
     for name in ("episodes", "rides"):
@@ -375,7 +376,12 @@ def _check(config: DictConfig) -> None:
 def build(config: DictConfig) -> Setup:
     """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
     _check(config)
-    budget = _build_budget(config.train)
+    budget = build_budget(config.train)
+    if config.train.until is not None:
+        raise ConfigError(
+            f"train.until={config.train.until}: expected null without a rival; a learner has"
+            " train.seconds, train.episodes or train.rides"
+        )
     sim = build_sim(config.domain)
     if has_inverse(config):
         return _assemble(config, sim, budget, plan_inverse(config.compute, budget, World(sim)))

@@ -22,7 +22,7 @@ def known_keys(group: str, config: DictConfig, known: set[str]) -> None:
             raise ConfigError(unknown_key(f"{name}={value}", name, settable))
 
 
-def _target(group: str, config: Any) -> Any:
+def target_class(group: str, config: Any) -> Any:
     """The class that a node names; Hydra looks it up and vets it."""
     if not isinstance(config, DictConfig) or "_target_" not in config:
         raise ConfigError(f"{group}={config}: expected a mapping with a _target_")
@@ -61,7 +61,7 @@ def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
     methods: what the object must be able to do; more: arguments that do not come from the
     configuration, of which the constructor gets those that it knows.
     """
-    target = _target(group, config)
+    target = target_class(group, config)
     lacking = [name for name in methods if not hasattr(target, name)]
     if lacking:
         raise ConfigError(

@@ -22,7 +22,7 @@ from torch.utils.tensorboard.writer import SummaryWriter
 from edtorch.app.build import build_policy, build_sim, policy_card
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.compute import check_choices
-from edtorch.app.construct import construct
+from edtorch.app.construct import construct, target_class
 from edtorch.app.errors import ConfigError
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
@@ -61,6 +61,11 @@ def is_rival(config: DictConfig) -> bool:
     return config.rival.get("_target_") is not None
 
 
+def is_search(config: DictConfig) -> bool:
+    """Whether the rival is a random search, which counts policies."""
+    return issubclass(target_class("rival", config.rival), RandomSearch)
+
+
 def build_search(config: DictConfig) -> SearchSetup:
     """Objects for a random search.  Raises ConfigError, which names the key."""
     check_keys(config)
@@ -76,8 +81,6 @@ def build_search(config: DictConfig) -> SearchSetup:
     at_least("rival.processes", processes, 1)
     keys = [str(key) for key in config.rival if key != "processes"]
     settings = construct("rival", OmegaConf.masked_copy(config.rival, keys))
-    if not isinstance(settings, RandomSearch):
-        raise ConfigError(f"rival._target_={config.rival._target_}: expected RandomSearch")
     dtype = torch.float32 if config.compute.precision == "mixed" else torch.float64
     sim = build_sim(config.domain)
     policy = build_policy(config.policy, sim, dtype, config.seed)

@@ -7,8 +7,9 @@ Values are checked by the constructors that receive them, whose arguments have t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import MISSING as DATACLASS_MISSING
+from dataclasses import Field, dataclass, field, fields, make_dataclass
+from typing import Any, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
@@ -423,13 +424,32 @@ class RandomSearchConfig(RivalConfig):
     processes: int | None = None
 
 
+def settings_schema(settings: type) -> type:
+    """The schema of a rival's settings, which are a dataclass and say the defaults themselves."""
+    hints = get_type_hints(settings)
+    own = [(f.name, hints[f.name], _default(f)) for f in fields(settings)]
+    return make_dataclass(f"{settings.__name__}Config", own, bases=(RivalConfig,))
+
+
+def _default(setting: Field[Any]) -> Any:
+    if setting.default_factory is not DATACLASS_MISSING:
+        return field(default_factory=setting.default_factory)
+    return field(default=MISSING if setting.default is DATACLASS_MISSING else setting.default)
+
+
+RIVALS: dict[str, type] = {}
+"""Rivals with a search per seed: their options in ``conf/rival/``, and their settings."""
+
+
 @dataclass
 class BudgetConfig:
-    """Per learner, whichever ends first; null: unlimited."""
+    """Per learner, whichever ends first; null: unlimited.  until: of a rival, the milestone at
+    which a seed is done as well, stable or goal (``edtorch.report.milestones``)."""
 
     seconds: float | None = None
     episodes: int | None = None
     rides: int | None = None
+    until: str | None = None
 
 
 @dataclass
@@ -561,7 +581,11 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "ramp_schema": RampConfig,
         "safe_schema": SafeConfig,
     },
-    "rival": {"rival_schema": RivalConfig, "random_search_schema": RandomSearchConfig},
+    "rival": {
+        "rival_schema": RivalConfig,
+        "random_search_schema": RandomSearchConfig,
+        **{f"{name}_schema": settings_schema(settings) for name, settings in RIVALS.items()},
+    },
 }
 
 

@@ -26,7 +26,8 @@ from edtorch.app.errors import ConfigError, guarded, refusing
 from edtorch.app.evaluations import Evaluation, Evaluations
 from edtorch.app.folders import remove_empty
 from edtorch.app.pictures import draw, draw_reaching
-from edtorch.app.rival import build_search, is_rival, run_search
+from edtorch.app.rival import build_search, is_rival, is_search, run_search
+from edtorch.app.rivals import build_rival, run_rival
 from edtorch.app.rundir import CHECKPOINT, POLICY, SUMMARY, RunFolder, json_text
 from edtorch.app.signals import Interrupted, Stop
 from edtorch.app.summary import (
@@ -306,6 +307,9 @@ def _work(
     config: DictConfig, folder: RunFolder, stop: Stop, began: float
 ) -> tuple[list[int], Callable[[], dict[str, Any]]]:
     """The seeds, and what there is to do: learn, or whatever a rival does instead."""
+    if is_rival(config) and not is_search(config):
+        rival = build_rival(config)
+        return rival.seeds, lambda: run_rival(rival, config, folder.path, stop, Console())
     if is_rival(config):
         search = build_search(config)
         return [search.seed], lambda: run_search(search, config, folder.path, stop, Console())

@@ -74,6 +74,11 @@ def learning_figures(
         first_ride(own, lived)
         for own, lived in zip(by_row(episodes, len(seeds)), seconds, strict=True)
     ]
+    return first_ride_figures(per_seed, seeds)
+
+
+def first_ride_figures(per_seed: Sequence[FirstRide], seeds: Sequence[int]) -> dict[str, Any]:
+    """What each seed paid for its first ride, for ``summary.json``."""
     return {
         "falls_before_first_ride": Spread([r.falls_before for r in per_seed]).as_json(),
         "seconds_before_first_ride": Spread([r.seconds_before for r in per_seed]).as_json(),

@@ -1,0 +1,304 @@
+"""A rival's job behind ``edtorch-train``: search, try the policies on the way, leave a run folder.
+
+``edtorch.app.rival`` is random search, which counts policies; everything here has one search per
+seed, and a summary like a learner's.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+from rich.console import Console
+from torch.utils.tensorboard.writer import SummaryWriter
+
+from edtorch.app.build import build_budget, build_policy, build_reward, build_sim
+from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.compute import check_choices
+from edtorch.app.construct import construct
+from edtorch.app.errors import ConfigError, under
+from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
+from edtorch.app.signals import Stop
+from edtorch.app.summary import summary_table
+from edtorch.checkpoint import PolicyCard, save_policy, write_text
+from edtorch.evaluation import evaluate
+from edtorch.log import median
+from edtorch.records import Budget, Episode
+from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoint, milestones
+from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
+from edtorch.rivals.base import Problem, Rival, Search
+from edtorch.world import World
+
+SCREENING = 2
+"""Fresh episodes that a policy must end without a fall before it is tried in all of them: one that
+falls in one of these is not stable, and most of what a rival tries falls."""
+SECONDS_BETWEEN_LINES = 10.0
+COLUMNS = ("simulated_seconds", "episodes", "falls", "rides", "cpu_s", "fall_rate", "goal_rate")
+
+
+@dataclass(frozen=True)
+class RivalSetup:
+    """Everything that a rival's run is made of; calm: a world to try policies in; until: the
+    milestone at which a seed is done, None: none."""
+
+    name: str
+    rival: Rival
+    problem: Problem
+    calm: World
+    budget: Budget
+    until: str | None
+    episodes: int
+
+    @property
+    def seeds(self) -> list[int]:
+        """One search each."""
+        return list(self.problem.seeds)
+
+
+def build_rival(config: DictConfig) -> RivalSetup:
+    """Objects for a rival with a search per seed.  Raises ConfigError, which names the key."""
+    check_keys(config)
+    check_numbers(config)
+    check_seeds(config)
+    at_least("compute.threads", config.compute.threads, 1)
+    at_least("eval.episodes", config.eval.episodes, 1)
+    check_choices(config.compute)
+    until = config.train.until
+    if until is not None and until not in MILESTONES:
+        raise ConfigError(f"train.until={until}: expected null or one of {', '.join(MILESTONES)}")
+    budget = build_budget(config.train)
+    dtype = torch.float32 if config.compute.precision == "mixed" else torch.float64
+    sim = build_sim(config.domain)
+    with under("observation"):
+        world, calm = (World(s, dtype, unwrap=config.observation.unwrap) for s in (sim, sim))
+    problem = Problem(
+        world=world,
+        policy=build_policy(config.policy, sim, dtype, config.seed),
+        reward=build_reward(config.reward, sim, dtype),
+        seeds=range(config.seed, config.seed + config.seeds),
+        compile=config.compute.compile,
+    )
+    rival = construct("rival", config.rival, "begin")
+    name = str(config.rival._target_).rsplit(".", 1)[-1]
+    return RivalSetup(name, rival, problem, calm, budget, until, config.eval.episodes)
+
+
+class _Report:
+    """Checkpoints to ``metrics.csv``, TensorBoard and the console; it also looks for a stop."""
+
+    def __init__(
+        self, setup: RivalSetup, config: DictConfig, folder: Path, stop: Stop, console: Console
+    ) -> None:
+        self._seeds = setup.seeds
+        self._stop = stop
+        self._console = console
+        self._file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
+        self._rows = csv.writer(self._file)
+        self._rows.writerow(("seed", *COLUMNS))
+        self._board = SummaryWriter(str(folder)) if config.log.tensorboard else None
+        self._shown = config.log.progress
+        self._printed = -math.inf
+
+    def pause(self) -> None:
+        """Raises KeyboardInterrupt once somebody has asked to stop."""
+        if self._stop.asked:
+            raise KeyboardInterrupt
+
+    def write(self, search: Search, fresh: dict[int, Checkpoint], count: int) -> None:
+        """The checkpoints of the seeds that went on, the ``count``-th."""
+        for row, found in fresh.items():
+            rides = search.accounts[row].rides
+            cells = (found.seconds, found.episodes, found.falls, rides, found.cpu_s)
+            rates = (found.fall_rate, found.goal_rate)
+            self._rows.writerow((self._seeds[row], *(f"{v:.9g}" for v in (*cells, *rates))))
+        self._file.flush()
+        seconds = median([c.seconds for c in fresh.values()])
+        falls = median([float(c.falls) for c in fresh.values()])
+        stable = sum(c.stable for c in fresh.values())
+        goal = sum(c.to_the_goal for c in fresh.values())
+        if self._board is not None:
+            for name, value in (("seconds", seconds), ("falls", falls), ("stable", stable)):
+                self._board.add_scalar(f"rival/{name}", value, count)
+            self._board.add_scalar("rival/to_the_goal", goal, count)
+        if self._shown and time.monotonic() - self._printed >= SECONDS_BETWEEN_LINES:
+            self._printed = time.monotonic()
+            self._console.print(
+                f"{seconds:8.0f} s  falls {falls:.0f}  stable {stable}/{len(fresh)}"
+                f"  to the goal {goal}/{len(fresh)}",
+                soft_wrap=True,
+                highlight=False,
+            )
+
+    def close(self) -> None:
+        """Close the files."""
+        self._file.close()
+        if self._board is not None:
+            self._board.close()
+
+
+class _Trials:
+    """Fresh episodes of the policies of now, and what has come of those before."""
+
+    def __init__(self, setup: RivalSetup, search: Search) -> None:
+        self._setup = setup
+        self._search = search
+        self.history: list[list[Checkpoint]] = [[] for _ in setup.seeds]
+        self.last: list[list[Episode]] = [[] for _ in setup.seeds]
+        self.wall_s = 0.0
+
+    def _episodes(self, rows: Sequence[int], count: int) -> None:
+        if not rows:
+            return
+        picked = {k: p[list(rows)] for k, p in self._search.parameters.items()}
+        seeds = [self._setup.seeds[row] for row in rows]
+        found = evaluate(self._search.actor, picked, self._setup.calm, seeds, count)
+        for row, own in zip(rows, found, strict=True):
+            self.last[row] = own
+
+    def _falls(self, row: int) -> bool:
+        return not all(e.is_ride for e in self.last[row])
+
+    def run(self, rows: Sequence[int], cpu_s: Sequence[float]) -> dict[int, Checkpoint]:
+        """Try those of ``rows``; cpu_s: paid by each seed so far."""
+        began = time.monotonic()
+        most = self._setup.episodes
+        self._episodes(rows, min(SCREENING, most))
+        if most > SCREENING:
+            self._episodes([row for row in rows if not self._falls(row)], most)
+        fresh: dict[int, Checkpoint] = {}
+        for row in rows:
+            account = self._search.accounts[row]
+            fresh[row] = checkpoint(
+                self.last[row],
+                seconds=account.seconds,
+                falls=account.falls,
+                paid=account.episodes,
+                cpu_s=cpu_s[row],
+            )
+            self.history[row].append(fresh[row])
+        self.wall_s += time.monotonic() - began
+        return fresh
+
+    def complete(self) -> list[list[Episode]]:
+        """All episodes of the last policies, those that were only screened included."""
+        began = time.monotonic()
+        most = self._setup.episodes
+        self._episodes([k for k, own in enumerate(self.last) if len(own) < most], most)
+        self.wall_s += time.monotonic() - began
+        return self.last
+
+
+def _search(setup: RivalSetup, search: Search, trials: _Trials, report: _Report) -> list[float]:
+    """Piece by piece to the end of every budget; CPU seconds that each seed took."""
+    cpu_s = [0.0] * len(setup.seeds)
+    count = 0
+    while True:
+        going = [
+            not over and account.within(setup.budget) and not _arrived(setup, own)
+            for over, account, own in zip(search.done, search.accounts, trials.history, strict=True)
+        ]
+        rows = [row for row, on in enumerate(going) if on]
+        if not rows:
+            return cpu_s
+        began = time.process_time()
+        search.advance(going, report.pause)
+        took = (time.process_time() - began) / len(rows)
+        for row in rows:
+            cpu_s[row] += took
+        count += 1
+        with torch.inference_mode():
+            report.write(search, trials.run(rows, cpu_s), count)
+        report.pause()
+
+
+def _arrived(setup: RivalSetup, history: Sequence[Checkpoint]) -> bool:
+    if setup.until is None or not history:
+        return False
+    return bool(getattr(history[-1], MILESTONES[setup.until]))
+
+
+def _checkpoints(history: Sequence[Sequence[Checkpoint]]) -> list[dict[str, Any]]:
+    """The k-th of each seed beside each other, null for a seed that has no k-th."""
+    names = ("seconds", "episodes", "falls", "cpu_s", "fall_rate", "goal_rate")
+    return [
+        {
+            name: Spread(
+                [getattr(own[k], name) if k < len(own) else None for own in history]
+            ).as_json()
+            for name in names
+        }
+        for k in range(max(map(len, history)))
+    ]
+
+
+def _summary(
+    setup: RivalSetup, search: Search, trials: _Trials, cpu_s: Sequence[float], wall_s: float
+) -> dict[str, Any]:
+    """The content of ``summary.json``: a learner's, with ``milestones`` and ``checkpoints``."""
+    lived = [account.seconds for account in search.accounts]
+    return {
+        "rival": setup.name,
+        "seeds": setup.seeds,
+        **first_ride_figures([a.first_ride for a in search.accounts], setup.seeds),
+        **evaluation_figures(trials.complete()),
+        "milestones": milestones(trials.history, setup.seeds),
+        "checkpoints": _checkpoints(trials.history),
+        "episodes": Spread([a.episodes for a in search.accounts]).as_json(),
+        "falls": Spread([a.falls for a in search.accounts]).as_json(),
+        "simulated_seconds": lived,
+        "ticks": round(math.fsum(lived) / setup.problem.world.dt),
+        "wall_s": wall_s,
+        "cpu_s": math.fsum(cpu_s),
+        "eval_s": trials.wall_s,
+        "versions": versions(),
+        "command": command_line(),
+    }
+
+
+def _card(setup: RivalSetup, search: Search) -> PolicyCard:
+    spec = setup.problem.world.spec
+    return PolicyCard(
+        domain=spec.name,
+        states=[q.name for q in spec.state],
+        actions=[q.name for q in spec.action],
+        scales=[q.scale for q in (*spec.state, *spec.action)],
+        policy=f"{setup.name}: {type(search.actor).__name__}",
+        seeds=setup.seeds,
+    )
+
+
+def run_rival(
+    setup: RivalSetup, config: DictConfig, folder: Path, stop: Stop, console: Console
+) -> dict[str, Any]:
+    """Search, write everything; returns the content of ``summary.json``."""
+    title = f"{setup.problem.world.spec.name}, {setup.name}, {len(setup.seeds)} seeds"
+    with under("rival"):
+        search = setup.rival.begin(setup.problem)
+    trials = _Trials(setup, search)
+    report = _Report(setup, config, folder, stop, console)
+    began = time.monotonic()
+    try:
+        cpu_s = _search(setup, search, trials, report)
+    finally:
+        report.close()
+    summary = _summary(setup, search, trials, cpu_s, time.monotonic() - began - trials.wall_s)
+    save_policy(folder / POLICY, search.parameters, _card(setup, search))
+    write_text(folder / SUMMARY, json_text(summary))
+    console.print(summary_table(summary, title))
+    for name, found in summary["milestones"].items():
+        reached = len(setup.seeds) - len(found["never"])
+        console.print(
+            f"{name}: {reached} of {len(setup.seeds)} seeds; paid until then (median)"
+            f" {found['seconds']['median']:.1f} s, {found['falls']['median']:.0f} falls,"
+            f" {found['cpu_s']['median']:.1f} CPU s",
+            soft_wrap=True,
+        )
+    console.print(f"run folder: {folder}", soft_wrap=True)
+    return summary

@@ -1,0 +1,73 @@
+"""What a rival is: settings that begin a search for policies, and a search that pays as it goes.
+
+A rival is one file with a frozen dataclass of settings, which ``conf/rival/`` names.  The command
+drives every one of them alike: it asks for a piece of work, tries the policies that there are then
+in fresh episodes, which cost no experience, and stops the seeds that have used up their budget.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from edtorch.compilation import Wish
+from edtorch.learner import Actor
+from edtorch.policies import LinearPolicy
+from edtorch.rewards import QuadraticReward
+from edtorch.rivals.ledger import Account
+from edtorch.types import Parameters
+from edtorch.world import World
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What there is to solve.
+
+    world: the sim in scaled units, for any number of episodes at a time; policy: the template of a
+    linear policy that the configuration names, for rivals that search among such; reward: the
+    shaping reward, scaled; seeds: one search each, which depends on nothing but its seed;
+    compile: whether to compile.
+    """
+
+    world: World
+    policy: LinearPolicy
+    reward: QuadraticReward
+    seeds: Sequence[int]
+    compile: Wish
+
+
+@runtime_checkable
+class Search(Protocol):
+    """One search per seed, begun and under way."""
+
+    accounts: list[Account]
+    """What each seed has paid."""
+
+    @property
+    def actor(self) -> Actor:
+        """What acts with the parameters below: no exploration."""
+        ...
+
+    @property
+    def parameters(self) -> Parameters:
+        """The policies of now, each tensor ``[S, ...]``."""
+        ...
+
+    @property
+    def done(self) -> list[bool]:
+        """Of each seed, whether the rival itself is at its end, whatever the budget."""
+        ...
+
+    def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
+        """A piece of work for each seed that is ``going``, as long as one likes policies to be
+        tried after; ``pause`` is called every second or so, and what it raises ends the search."""
+        ...
+
+
+class Rival(Protocol):
+    """The settings of a rival."""
+
+    def begin(self, problem: Problem) -> Search:
+        """Raises ValueError, which names the setting, for a problem that it cannot take."""
+        ...
