@@ -64,7 +64,10 @@ class JointFilter:
         if not self.disturbance > 0:
             raise ValueError(f"disturbance={self.disturbance}: expected a number > 0")
         if self.model.linear_dynamics(self.model.weight.detach(), 1.0) is None:
-            raise ValueError("features: expected a model linear in state and action, as identity")
+            raise ValueError(
+                "expected model.features=identity or affine, not"
+                f" {type(self.model.features).__name__}: a model linear in state and action"
+            )
 
     def initial(self, weight: Tensor) -> Parameters:
         """The weights are unknown, and independent of the state."""

@@ -214,5 +214,7 @@ def test_refuses_what_it_cannot_start_from(arguments: dict[str, float], message:
 
 def test_refuses_models_that_are_not_linear() -> None:
     model = DerivativeModel(1, 1, Pairwise(2), f64([0.0]))
-    with pytest.raises(ValueError, match="features: expected a model linear in state and action"):
+    with pytest.raises(
+        ValueError, match=r"expected model\.features=identity or affine, not Pairwise"
+    ):
         JointFilter(model, f64([0.1]))

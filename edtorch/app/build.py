@@ -352,7 +352,7 @@ def _build_forward(config: DictConfig, world: World, compute: Compute) -> _Forwa
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
     compiled = None
     if observer is not None:
-        reason, compilable = f"{reason}; observations estimated from, uncompiled", None
+        reason, compilable = f"{reason}; estimates of the state, which are not compiled", None
     if compute.compiled and compilable is not None:
         compiled = replace(learner, value=compilable)
     return _Forward(learner, reason, indicator, compiled)
