@@ -7,14 +7,16 @@ in which its seed learned.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from edtorch.learner import Actor
+from edtorch.observer import Observer
 from edtorch.records import Episode
 from edtorch.streams import Purpose, Streams, learning_streams, stream_key
-from edtorch.types import Parameters, select
+from edtorch.types import Parameters, Transition, select
 from edtorch.world import World
 from sims.base import Lasting, Outcome
 
@@ -31,18 +33,19 @@ def evaluate(
     episodes: int,
     *,
     watch: Watch | None = None,
+    observer: Observer | None = None,
 ) -> list[list[Episode]]:
     """Run ``episodes`` fresh episodes of each policy, without exploration and without learning.
 
     parameters: ``[S, ...]``, one policy per seed.  Returns the episodes of each policy, in order;
-    episode e of a seed is the same whatever else is evaluated beside it.  watch: see ``Watch``.
+    episode e of a seed is the same whatever else is evaluated beside it.  watch: see ``Watch``;
+    observer: what the policies estimate the state with, None if they take what they observe for it.
     """
     expanded = {k: p.repeat_interleave(episodes, dim=0) for k, p in parameters.items()}
-
-    def act(state: Tensor, observation: Tensor) -> Tensor:
-        return policy.action(expanded, observation)
-
-    return _run(act, world, seeds, episodes, watch)
+    rider = _Memoryless(lambda state, observation: policy.action(expanded, observation))
+    if observer is not None:
+        rider = _Observing(policy, expanded, observer)
+    return _run(rider, world, seeds, episodes, watch)
 
 
 def evaluate_yardstick(
@@ -50,13 +53,52 @@ def evaluate_yardstick(
 ) -> list[list[Episode]]:
     """The same episodes with a controller that sees all: full states ``[N, k]`` to actions
     ``[N, m]``, physical units (``sims.base.Measured``)."""
-    return _run(
-        lambda state, observation: world.scaled(control(state)),
-        world,
-        seeds,
-        episodes,
-        None,
-    )
+    rider = _Memoryless(lambda state, observation: world.scaled(control(state)))
+    return _run(rider, world, seeds, episodes, None)
+
+
+class _Rider(Protocol):
+    """Whoever acts in an episode."""
+
+    def act(self, state: Tensor, observation: Tensor, /) -> Tensor:
+        """The action ``[N, m]``, scaled, for full states ``[N, k]`` and observations ``[N, n]``."""
+        ...
+
+    def saw(self, transition: Transition) -> None:
+        """Is told what happened in the tick."""
+        ...
+
+
+class _Memoryless:
+    """Acts upon the moment."""
+
+    def __init__(self, act: Callable[[Tensor, Tensor], Tensor]) -> None:
+        self.act = act
+
+    def saw(self, transition: Transition) -> None:
+        """Forgets it."""
+
+
+class _Observing:
+    """Acts upon an estimate of the state."""
+
+    def __init__(self, policy: Actor, parameters: Parameters, observer: Observer) -> None:
+        self._policy = policy
+        self._parameters = parameters
+        self._observer = observer
+        self._memory: Parameters | None = None
+
+    def act(self, state: Tensor, observation: Tensor, /) -> Tensor:
+        """See ``_Rider``; the first observation is that of the start."""
+        if self._memory is None:
+            self._memory = self._observer.initial(observation)
+        now = self._observer.now(self._parameters, self._memory, observation)
+        return self._policy.action(self._parameters, now)
+
+    def saw(self, transition: Transition) -> None:
+        """Goes on estimating."""
+        assert self._memory is not None  # nothing happens before the first action
+        self._memory = self._observer.follow(self._parameters, self._memory, transition)
 
 
 def _starts(world: World, seeds: Sequence[int], episodes: int, uniform: Tensor) -> Tensor:
@@ -70,7 +112,7 @@ def _starts(world: World, seeds: Sequence[int], episodes: int, uniform: Tensor) 
 
 
 def _run(
-    act: Callable[[Tensor, Tensor], Tensor],
+    rider: _Rider,
     world: World,
     seeds: Sequence[int],
     episodes: int,
@@ -87,11 +129,13 @@ def _run(
         while bool(active.any()):
             clock += 1
             draw = streams.at(int(clock))
-            action = world.clip(act(state, observation))
+            action = world.clip(rider.act(state, observation))
             state = select(active, world.step(state, action, draw.uniform), state)
             if watch is not None:
                 watch(state)
-            observation = world.observe(state, observation)
+            before, observation = observation, world.observe(state, observation)
+            applied, valid = world.applied(state, action), world.stepped(state, active)
+            rider.saw(Transition(before, applied, observation, world.seconds, valid))
             outcome = world.outcome(state, clock)
             ended = active & (outcome != int(Outcome.RUNNING))
             if bool(ended.any()):

@@ -17,9 +17,11 @@ from torch import Tensor
 
 from edtorch.annealing import Annealed
 from edtorch.command import CommandLimit
-from edtorch.fit import Fit
+from edtorch.filtering import JointFilter
+from edtorch.fit import Fit, Fitted
 from edtorch.models import Model
 from edtorch.noise import Noise
+from edtorch.observer import Observer, believed
 from edtorch.policies import LinearPolicy, bounded, explore
 from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
 from edtorch.unroll import ValuePath
@@ -61,8 +63,18 @@ class AnyLearner(Protocol):
         """Whether torch's differentiation must be at work."""
         ...
 
+    @property
+    def observer(self) -> Observer | None:
+        """What estimates the state from observations, None where they are taken for it."""
+        ...
+
     def initial(self, seeds: Sequence[int]) -> LearnerState:
         """Learners that know nothing yet, one per seed."""
+        ...
+
+    def begin(self, state: LearnerState, fresh: Tensor, observation: Tensor) -> LearnerState:
+        """At the beginning of new episodes of those that are ``fresh`` ``[B]``; observation
+        ``[B, n]``: the first ones."""
         ...
 
     def acting(self, state: LearnerState) -> Parameters:
@@ -103,24 +115,41 @@ def _where(mask: Tensor, yes: Parameters, no: Parameters) -> Parameters:
 
 
 @dataclass(frozen=True)
+class _Lesson:
+    """What a transition taught: the fit, its regressor, where the transition ended as far as is
+    known, and the observer's memory."""
+
+    fitted: Fitted
+    phi: Tensor
+    end: Tensor
+    observer: Parameters
+
+
+@dataclass(frozen=True)
 class Learner:
     """A population of learners with one configuration; what they know is in a ``LearnerState``.
 
     exploration: standard deviation of the Gaussian added to the policy's action, scaled units, or
     that as a function of the age; noise: rule for nu~, None where nothing uses it; command: rule
-    for what model and policy see of an observation, None for all of it.
+    for what model and policy see of an observation, None for all of it; observer: what makes an
+    estimate of the state of observations that are late or err, None where they are the state.  A
+    fit that is a filter needs one with the same filter.
     """
 
     model: Model
     policy: LinearPolicy
-    fit: Fit
+    fit: Fit | JointFilter
     noise: Noise | None
     value: ValuePath
     step_rule: Step
     exploration: float | Annealed
     command: CommandLimit | None = None
+    observer: Observer | None = None
 
     def __post_init__(self) -> None:
+        filters = self.observer is not None and self.observer.filter is not None
+        if isinstance(self.fit, JointFilter) != filters:
+            raise ValueError("observer: expected one with a filter where the fit is that filter")
         given = self.exploration
         least = min(given.start, given.final) if isinstance(given, Annealed) else given
         if not least >= 0:
@@ -134,6 +163,9 @@ class Learner:
         policy = population(self.policy, size)
         noise = {} if self.noise is None else self.noise.initial(model["weight"])
         tick = torch.zeros(size, dtype=torch.int64, device=device)
+        observer: Parameters = {}
+        if self.observer is not None:
+            observer = self.observer.initial(model["weight"].new_zeros(size, self.model.states))
         return LearnerState(
             model=model,
             policy=policy,
@@ -144,6 +176,18 @@ class Learner:
             seed=torch.tensor(list(seeds), dtype=torch.int64, device=device),
             tick=tick,
             sound_ticks=torch.zeros(size, dtype=torch.int64, device=device),
+            observer=observer,
+        )
+
+    def begin(self, state: LearnerState, fresh: Tensor, observation: Tensor) -> LearnerState:
+        """New episodes for those that are ``fresh`` ``[B]``, from observations ``[B, n]``."""
+        if self.observer is None:
+            return state
+        fit = state.fit
+        if isinstance(self.fit, JointFilter):
+            fit = _where(fresh, self.fit.begun(fit), fit)
+        return replace(
+            state, observer=self.observer.begin(state.observer, fresh, observation), fit=fit
         )
 
     @property
@@ -160,15 +204,20 @@ class Learner:
         return {"limit": self.command(model, policy, noise, ticks)}
 
     def acting(self, state: LearnerState) -> Parameters:
-        """What ``policy.action`` needs of a state."""
-        return state.policy | state.limit
+        """What ``policy.action`` needs of a state, and what an observer does."""
+        if self.observer is None:
+            return state.policy | state.limit
+        return state.policy | state.limit | {"model": state.model["weight"]}
 
     def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:
         """pi(s) plus exploration, ``[B, m]`` in scaled units; normal ``[B, m]`` standard normal."""
         deviation = self.exploration
         if isinstance(deviation, Annealed):
             deviation = deviation(state.tick, observation.dtype).unsqueeze(-1)
-        return explore(self.policy.action(self.acting(state), observation), normal, deviation)
+        parameters = self.acting(state)
+        if self.observer is not None:
+            observation = self.observer.now(parameters, state.observer, observation)
+        return explore(self.policy.action(parameters, observation), normal, deviation)
 
     def step(
         self, state: LearnerState, transition: Transition, *, improve: bool = True
@@ -180,18 +229,21 @@ class Learner:
         """
         unit = self.model.time_unit(transition.dt)
         sound = _finite(transition.next_state)
-        seen = self._seen(state, transition)
+        if self.observer is not None:
+            transition, observer = self.observer.paired(state.observer, transition)
+            state = replace(state, observer=observer)
 
         # 1, 2: the model and its noise.
-        target = self.model.target(seen)
-        phi = self.model.regressor(seen)
+        lesson = self._lesson(state, transition, unit)
+        fitted, phi = lesson.fitted, lesson.phi
         old = state.model["weight"]
-        fitted = self.fit.update(old, state.fit, phi, target, unit)
         noise = state.noise
         if self.noise is not None:
             squared = self.model.residual_noise(fitted.residual, transition.dt)
             noise = self.noise.update(noise, squared, phi, state.fit, unit)
-        fit_ok = _finite(fitted.weight, *fitted.memory.values(), *noise.values())
+        fit_ok = _finite(
+            fitted.weight, *fitted.memory.values(), *noise.values(), *lesson.observer.values()
+        )
         learn = transition.valid & fit_ok
         unbroken = fit_ok & (state.sound_ticks == state.tick) & transition.valid
         learned = replace(
@@ -200,6 +252,7 @@ class Learner:
             fit=_where(learn, fitted.memory, state.fit),
             noise=_where(learn, noise, state.noise),
             tick=state.tick + transition.valid,
+            observer=_where(learn, lesson.observer, state.observer),
         )
         error = fitted.residual.abs().mean(-1)
         if not improve:
@@ -208,7 +261,7 @@ class Learner:
             return learned, Metrics(None, None, error, finite, None)
 
         # 3-6: value and gradient from where the transition ended; 7: the policy.
-        here = self.value(learned.model, state.policy, learned.noise, seen.next_state)
+        here = self.value(learned.model, state.policy, learned.noise, lesson.end)
         size = gradient_norm(here.gradient)
         value_ok = torch.isfinite(here.value + size)
         policy, step = self.step_rule(state.policy, here.gradient, state.step, unit)
@@ -224,6 +277,28 @@ class Learner:
         learned = replace(learned, limit=_where(transition.valid, limit, state.limit))
         finite = torch.stack([sound, fit_ok, value_ok])
         return learned, Metrics(here.value, size, error, finite, here.first_floored)
+
+    def _lesson(self, state: LearnerState, transition: Transition, unit: Tensor) -> _Lesson:
+        """Step 1: what the model learns of the transition."""
+        if isinstance(self.fit, JointFilter) and self.observer is not None:
+            found = self.fit.update(
+                state.model["weight"],
+                state.fit,
+                self.observer.belief(state.observer),
+                state.limit.get("limit"),
+                transition.action,
+                transition.next_state,
+                transition.dt,
+            )
+            observer = believed(state.observer, found.belief)
+            fitted = Fitted(found.weight, found.memory, found.residual)
+            return _Lesson(fitted, found.phi, found.belief.mean, observer)
+        assert not isinstance(self.fit, JointFilter)  # checked when it was made
+        seen = self._seen(state, transition)
+        target = self.model.target(seen)
+        phi = self.model.regressor(seen)
+        fitted = self.fit.update(state.model["weight"], state.fit, phi, target, unit)
+        return _Lesson(fitted, phi, seen.next_state, state.observer)
 
     def _seen(self, state: LearnerState, transition: Transition) -> Transition:
         """The transition as the model sees it: as far as it went, from within the bounds."""

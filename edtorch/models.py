@@ -110,6 +110,10 @@ class DerivativeModel(LinearModel):
         """mu~: one Euler step of ``dt`` seconds, s + dt W phi(s, a), ``[*batch, n]``."""
         return state + dt * self.output(state, action)
 
+    def change(self, weight: Tensor, phi: Tensor, state: Tensor, dt: Tensor) -> Tensor:
+        """mu~ - s a tick of ``dt`` seconds later, dt W phi, ``[*batch, n]``."""
+        return dt * matvec(weight, phi)
+
     def noise_over(self, noise: Tensor, dt: float) -> Tensor:
         """Covariance that ``noise`` (per second) adds in ``dt`` seconds."""
         return noise * dt
@@ -118,7 +122,7 @@ class DerivativeModel(LinearModel):
         """Step 2 of Fig. 1: e e' dt, squared error per second, ``[*batch, n, n]``."""
         return residual.unsqueeze(-1) * residual.unsqueeze(-2) * dt
 
-    def linear_dynamics(self, weight: Tensor, dt: float) -> LinearDynamics | None:
+    def linear_dynamics(self, weight: Tensor, dt: float | Tensor) -> LinearDynamics | None:
         """dt W where the features are the variables themselves (and perhaps 1), else None."""
         parts = self._linear_parts(weight)
         if parts is None:
@@ -142,6 +146,10 @@ class NextStateModel(LinearModel):
         """mu~: the next state, W phi(s, a), ``[*batch, n]``; ``dt`` does not enter."""
         return self.output(state, action)
 
+    def change(self, weight: Tensor, phi: Tensor, state: Tensor, dt: Tensor) -> Tensor:
+        """mu~ - s a step later, W phi - s, ``[*batch, n]``."""
+        return matvec(weight, phi) - state
+
     def noise_over(self, noise: Tensor, dt: float) -> Tensor:
         """Covariance that ``noise`` (per step) adds in one step."""
         return noise
@@ -150,7 +158,7 @@ class NextStateModel(LinearModel):
         """Step 2 of Fig. 1: (s' - mu~)(s' - mu~)', ``[*batch, n, n]``."""
         return residual.unsqueeze(-1) * residual.unsqueeze(-2)
 
-    def linear_dynamics(self, weight: Tensor, dt: float) -> LinearDynamics | None:
+    def linear_dynamics(self, weight: Tensor, dt: float | Tensor) -> LinearDynamics | None:
         """W where the features are the variables themselves (and perhaps 1), else None."""
         parts = self._linear_parts(weight)
         if parts is None:

@@ -119,16 +119,18 @@ class Tick:
         state = self.world.initial(draw.uniform)
         size, device = state.shape[0], state.device
         zero = torch.zeros(size, dtype=torch.int64, device=device)
+        everybody = torch.ones(size, dtype=torch.bool, device=device)
         worlds = Experience(
             world=state,
             start=state,
             observation=self.world.observe(state),
             begun=zero,
-            active=torch.ones(size, dtype=torch.bool, device=device),
+            active=everybody,
             episodes=zero,
             falls=zero,
             rides=zero,
         )
+        learners = self.learner.begin(learners, everybody, worlds.observation)
         return Population(learners, worlds, Tally.zero(size, device))
 
     def live(
@@ -186,4 +188,5 @@ class Tick:
             falls=falls,
             rides=rides,
         )
-        return replace(here, worlds=experience)
+        learners = self.learner.begin(here.learners, fresh, experience.observation)
+        return replace(here, learners=learners, worlds=experience)

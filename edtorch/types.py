@@ -7,7 +7,7 @@ through them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar, cast, dataclass_transform
 
 import torch
@@ -78,7 +78,9 @@ class LearnerState:
     noise: the memory of the rule for nu~; limit: the bounds of what is seen of an observation, if
     there are any (``edtorch.command``); step: the policy step rule's own tensors; seed ``[B]``
     int64 and tick ``[B]`` int64 (together the state of the random stream, ``edtorch.streams``);
-    sound_ticks ``[B]`` int64: ticks before the first one whose numbers were not all finite.
+    sound_ticks ``[B]`` int64: ticks before the first one whose numbers were not all finite;
+    observer: what is remembered of readings that are late or err, if they are
+    (``edtorch.observer``).
     """
 
     model: Parameters
@@ -90,6 +92,7 @@ class LearnerState:
     seed: Tensor
     tick: Tensor
     sound_ticks: Tensor
+    observer: Parameters = field(default_factory=dict)
 
 
 @tree_dataclass

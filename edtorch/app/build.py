@@ -29,16 +29,19 @@ from edtorch.app.inverse import (
     has_inverse,
     inverse_path,
 )
+from edtorch.app.observation import build_observer, build_reading_noise, check_unobserved
 from edtorch.checkpoint import PolicyCard
 from edtorch.closed_form.regulator import Regulator
 from edtorch.dispatch import Wish, choose_path
 from edtorch.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
+from edtorch.filtering import JointFilter
 from edtorch.fit import Fit
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.forward import distance_cost, tracking
 from edtorch.learner import AnyLearner, Learner
 from edtorch.models import DerivativeModel, Model
 from edtorch.noise import BayesianNoise, Noise
+from edtorch.observer import Observer
 from edtorch.policies import LinearPolicy
 from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
@@ -176,7 +179,12 @@ def _build_model(config: Any, world: World, dtype: torch.dtype, seed: int) -> Mo
     )
 
 
-def _build_noise(config: Any, fit: Fit, model: Model, stretch: float) -> Noise:
+def _build_fit(config: DictConfig, world: World, model: Model) -> Fit | JointFilter:
+    noise = build_reading_noise(config.observation, world)
+    return construct("fit", config.fit, "initial", "update", model=model, noise=noise)
+
+
+def _build_noise(config: Any, fit: Fit | JointFilter, model: Model, stretch: float) -> Noise:
     own = [str(k) for k in config if not str(k).startswith("exploration")]
     rest = OmegaConf.masked_copy(config, own)
     noise = construct("noise", rest, "covariance", "update", stretch=stretch)
@@ -188,8 +196,17 @@ def _build_noise(config: Any, fit: Fit, model: Model, stretch: float) -> Noise:
     return noise
 
 
-def build_actor(config: Any, sim: Sim, dtype: torch.dtype) -> tuple[FeaturedActor, Shapes]:
+def build_frozen_observer(config: DictConfig, world: World) -> Observer | None:
+    """What a frozen policy of this configuration estimates the state with."""
+    if has_inverse(config):
+        return None
+    model = _build_model(config.model, world, world.dtype, config.seed)
+    return build_observer(config.observation, world, model, _build_fit(config, world, model))
+
+
+def build_actor(config: Any, world: World) -> tuple[FeaturedActor, Shapes]:
     """What acts, for one learner, and the shapes of its parameters."""
+    sim, dtype = world.sim, world.dtype
     if has_inverse(config):
         controller = build_controller(config.inverse, sim)
         n = controller.policy.layout.joints
@@ -202,6 +219,9 @@ def build_actor(config: Any, sim: Sim, dtype: torch.dtype) -> tuple[FeaturedActo
     shapes = {name: tuple(p.shape) for name, p in policy.named_parameters()}
     if variant(config.command) != "free":
         shapes["limit"] = (len(sim.spec.state),)
+    observer = build_frozen_observer(config, world)
+    if observer is not None:
+        shapes["model"] = tuple(observer.model.weight.shape)
     return policy, shapes
 
 
@@ -256,7 +276,8 @@ def _build_forward(config: DictConfig, world: World, compute: Compute) -> _Forwa
         states=model.states,
         generator=torch.Generator().manual_seed(config.seed),
     )
-    fit = construct("fit", config.fit, "initial", "update")
+    fit = _build_fit(config, world, model)
+    observer = build_observer(config.observation, world, model, fit)
     with under("unroll"):
         euler = isinstance(model, DerivativeModel)
         step = config.unroll.dt if euler else world.dt
@@ -326,10 +347,13 @@ def _build_forward(config: DictConfig, world: World, compute: Compute) -> _Forwa
             step_rule=construct("step", config.step, "initial"),
             exploration=build_exploration(config.noise, world.dt),
             command=build_command(config.command, world, model, policy, noise),
+            observer=observer,
         )
     check_memory(learner, world, config.seeds)
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
     compiled = None
+    if observer is not None:
+        reason, compilable = f"{reason}; estimates of the state, which are not compiled", None
     if compute.compiled and compilable is not None:
         compiled = replace(learner, value=compilable)
     return _Forward(learner, reason, indicator, compiled)
@@ -411,6 +435,7 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
         build_sim(evaluated)
     indicator = compiled = None
     if has_inverse(config):
+        check_unobserved(config.observation)
         learner = build_inverse_learner(config, sim, compute.dtype)
         check_memory(learner, world, config.seeds)
         path = inverse_path(learner)

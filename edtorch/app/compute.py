@@ -11,6 +11,7 @@ import torch
 
 from edtorch.app.errors import ConfigError
 from edtorch.compilation import CannotCompile, Wish, check_compiler
+from edtorch.filtering import JointFilter
 from edtorch.inverse.learner import InverseLearner
 from edtorch.learner import AnyLearner, Learner
 from edtorch.records import Budget
@@ -127,6 +128,9 @@ def needed_bytes(learner: Learner, world: World, learners: int) -> int:
         p.numel() for p in learner.policy.parameters()
     )
     squares = len(world.spec.state) ** 2
+    if isinstance(learner.fit, JointFilter):
+        # The covariance of the weights: now, before, and twice more on the way.
+        squares += 4 * learner.model.weight.numel() ** 2 // 100
     per_learner = _random_numbers(world) + 4 * states + 100 * squares + 500
     return learners * per_learner * _BYTES
 

@@ -16,7 +16,13 @@ from rich.console import Console
 from rich.table import Table
 
 from edtorch.app import schemas
-from edtorch.app.build import build_actor, build_sim, changed_domain, policy_card
+from edtorch.app.build import (
+    build_actor,
+    build_frozen_observer,
+    build_sim,
+    changed_domain,
+    policy_card,
+)
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
@@ -110,13 +116,14 @@ def _evaluate(config: DictConfig) -> float:
     sim = build_sim(changed_domain(run_config.domain, config.domain, "domain"))
     dtype = policy_dtype(path)
     world = World(sim, dtype, unwrap=run_config.observation.unwrap)
-    policy, shapes = build_actor(run_config, sim, dtype)
+    policy, shapes = build_actor(run_config, world)
     seeds = [run_config.seed + k for k in range(run_config.seeds)]
     parameters = load_policy(path, policy_card(sim, policy, seeds), shapes)
 
     began = time.monotonic()
     yardsticks = _yardsticks(config, world, seeds)
-    episodes = evaluate(policy, parameters, world, seeds, config.episodes)
+    observer = build_frozen_observer(run_config, world)
+    episodes = evaluate(policy, parameters, world, seeds, config.episodes, observer=observer)
     reached = goal_figures(episodes) if world.spec.goal else {}
     result = {
         "run": str(folder),

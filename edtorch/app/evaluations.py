@@ -75,6 +75,7 @@ class Evaluations:
                 self._setup.calm(),
                 training.seeds,
                 count + self._judged,
+                observer=learner.observer,
             )
             episodes = [own[:count] for own in found]
             if self._judged:

@@ -76,7 +76,15 @@ def draw_reaching(training: Training, calm: World, folder: Path, *, animate: boo
     if animate and isinstance(calm.sim, Pictured):
         learner, states = training.learner, list[Tensor]()
         parameters = {k: p[:1] for k, p in learner.acting(training.learners).items()}
-        evaluate(learner.policy, parameters, calm, training.seeds[:1], REACHES, watch=states.append)
+        evaluate(
+            learner.policy,
+            parameters,
+            calm,
+            training.seeds[:1],
+            REACHES,
+            watch=states.append,
+            observer=learner.observer,
+        )
         stride = max(1, round(0.1 / calm.dt))
         # [T, REACHES, k]: one task after the other.
         trail = torch.stack(states)[::stride].transpose(0, 1).flatten(0, 1)

@@ -193,6 +193,15 @@ class AdaptiveConfig:
 
 
 @dataclass
+class FilteredConfig:
+    """``edtorch.filtering.JointFilter``."""
+
+    _target_: str = MISSING
+    prior: float = 2.0
+    disturbance: float = 0.02
+
+
+@dataclass
 class BayesianFitConfig:
     """``edtorch.fit.BayesianLeastSquares``."""
 
@@ -334,9 +343,16 @@ class ScheduleConfig:
 
 @dataclass
 class ObservationConfig:
-    """unwrap: rad beyond half a turn up to which angles are counted on; null: always wrapped."""
+    """What the learner knows of how it observes.
+
+    unwrap: rad beyond half a turn up to which angles are counted on; null: always wrapped; delay:
+    ticks that observations are late; noise: standard deviations of their errors by name of the
+    component, in its unit, for fit=filtered.
+    """
 
     unwrap: float | None = None
+    delay: int = 0
+    noise: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -553,6 +569,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "rate_schema": RateFitConfig,
         "normalised_schema": NormalisedFitConfig,
         "least_squares_schema": LeastSquaresConfig,
+        "filtered_schema": FilteredConfig,
         "adaptive_schema": AdaptiveConfig,
         "bayesian_schema": BayesianFitConfig,
         "ridge_schema": RidgeConfig,

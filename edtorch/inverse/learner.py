@@ -96,6 +96,15 @@ class InverseLearner:
         """Whether torch's differentiation must be at work."""
         return self.unroll.needs_autograd
 
+    @property
+    def observer(self) -> None:
+        """None: observations are taken for the state."""
+        return None
+
+    def begin(self, state: LearnerState, fresh: Tensor, observation: Tensor) -> LearnerState:
+        """Nothing of what is known depends on the episode."""
+        return state
+
     def initial(self, seeds: Sequence[int]) -> LearnerState:
         """Learners that know nothing yet, one per seed."""
         size, layout = len(seeds), self.policy.policy.layout

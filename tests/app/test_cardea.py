@@ -167,6 +167,7 @@ def test_learning_goes_on_where_a_worker_died(
         (["eval.keep=5", "eval.episodes=0"], r"eval\.keep=5: expected 0 without a goal"),
         (["noise.exploration_start=1"], r"noise\.exploration_start=1.*: expected null"),
         (["unroll.path=fast"], r"unroll\.path=fast: expected one of"),
+        (["observation.delay=1"], r"observation\.delay=1: expected none with an inverse model"),
         (["log.value_error=true"], r"log\.value_error=true: expected false"),
         (["compute.precision=mixed"], r"compute\.precision=mixed: expected float64"),
     ],

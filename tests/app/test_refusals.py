@@ -44,6 +44,29 @@ REFUSED = [
     (["schedule.often=-1"], r"schedule\.often=-1\.0: expected a finite number >= 0"),
     (["schedule.every=0"], r"schedule\.every=0: expected 1 or more ticks"),
     (["observation.unwrap=4"], r"observation\.unwrap=4\.0: expected a number in \[0, pi\)"),
+    (["observation.delay=-1"], r"observation\.delay=-1: expected an integer >= 0"),
+    (
+        ["+observation.noise.lean=0.1"],
+        r"observation\.noise=\{'lean': 0\.1\}: expected fit=filtered",
+    ),
+    (
+        ["fit=filtered", "+observation.noise.foo=0.1"],
+        r"observation\.noise\.foo=0\.1: expected one of lean, lean_rate",
+    ),
+    (
+        ["fit=filtered", "+observation.noise.lean=-1"],
+        r"observation\.noise\.lean=-1\.0: expected a finite number >= 0",
+    ),
+    (["fit=filtered", "fit.prior=0"], r"fit\.prior=0\.0: expected a number > 0"),
+    (["fit=filtered", "fit.disturbance=0"], r"fit\.disturbance=0\.0: expected a number > 0"),
+    (
+        ["fit=filtered", "model.features=pairwise"],
+        r"fit: expected model\.features=identity or affine, not Pairwise",
+    ),
+    (
+        ["experiment=bicycle_sensors", "compute.compile=on"],
+        r"compile=on: expected a closed form .* estimates of the state, which are not compiled",
+    ),
     (["unroll.start=here"], r"unroll\.start=here: expected one of state, origin"),
     (["unroll.direction=up"], r"unroll\.direction=up: expected one of gradient, regulator"),
     (
