@@ -155,7 +155,7 @@ def _is_of(cell: Cell, title: str) -> bool:
     return cell.title == title or cell.title.startswith(f"{title}/")
 
 
-def add_options(parser: argparse.ArgumentParser, cells: Path, output: Path) -> None:
+def add_options(parser: argparse.ArgumentParser, cells: Path, output: Path | None) -> None:
     """Those that all commands over cells have."""
     parser.add_argument("--cells", type=Path, default=cells)
     parser.add_argument("--output", type=Path, default=output)

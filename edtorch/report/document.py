@@ -198,9 +198,9 @@ def _is_headline(quantity: Quantity) -> bool:
 
 MILESTONES_NOTE = (
     "Policies are tried at checkpoints, in fresh episodes that cost no experience. What a seed had"
-    " paid at its first checkpoint where none of them ended in a fall (stable riding), and where all"
-    " ended at the goal; the moment itself lies between it and the checkpoint before. IQM over the"
-    " seeds with its 95 % interval; censored: seeds that were never there."
+    " paid at its first checkpoint where none of them was a fall (stable riding), and where all of"
+    " them ended at the goal; the moment itself lies between it and the checkpoint before. IQM over"
+    " the seeds with its 95 % interval; censored: seeds that were never there."
 )
 
 
