@@ -21,6 +21,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
 from edtorch.app import schemas
+from edtorch.app.report import defaults
 from edtorch.report.groups import telling
 from edtorch.report.runs import CONFIG, SUMMARY, Settings, Unusable, flat, load
 
@@ -66,8 +67,12 @@ def named(node: Any, place: str) -> dict[str, Any]:
 
 
 def _settings(every: Settings) -> dict[str, Any]:
-    """What two runs of one result have in common, seeds included."""
-    return telling(every) | {key: every.get(key) for key in ("seed", "seeds")}
+    """What two runs of one result have in common, seeds included.
+
+    A setting that was not there yet when a run was made has the value that it has by default.
+    """
+    complete = {**defaults(every), **every}
+    return telling(complete) | {key: complete.get(key) for key in ("seed", "seeds")}
 
 
 def wanted(cell: Cell) -> dict[str, Any]:

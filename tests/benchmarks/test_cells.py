@@ -5,8 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
 
 from benchmarks.cells import BadCells, Cell, chosen, is_done, wanted
+from edtorch.app import schemas
+from tests.report.folders import learners
 
 
 def test_what_is_no_run_is_not_replaced(tmp_path: Path) -> None:
@@ -17,6 +22,26 @@ def test_what_is_no_run_is_not_replaced(tmp_path: Path) -> None:
 
 def test_an_empty_folder_is_not_done(tmp_path: Path) -> None:
     assert not is_done(tmp_path, wanted(Cell("t", "c", ("experiment=bicycle",), True)))
+
+
+@pytest.mark.oracle
+def test_a_run_from_before_a_setting_was_there_is_done(tmp_path: Path) -> None:
+    """It then had the value that is now the default; with another one it is another run."""
+    cell = Cell("t", "c", ("experiment=bicycle", "seeds=2"))
+    schemas.register()
+    with initialize_config_module("conf", version_base="1.3"):
+        config = OmegaConf.to_container(compose("train", list(cell.overrides)), resolve=True)
+    assert isinstance(config, dict)
+    del config["train"]["until"], config["observation"], config["schedule"]["every"]
+    learners(tmp_path / "run", [0, 1])
+    (tmp_path / "run" / "config.yaml").write_text(yaml.safe_dump(config))
+    why = r"holds a run with observation\.unwrap=None, the cell has 1\.5"
+    with pytest.raises(BadCells, match=why):
+        is_done(tmp_path / "run", wanted(cell))
+    config["observation"] = {"unwrap": 1.5}
+    config["schedule"]["every"] = 16
+    (tmp_path / "run" / "config.yaml").write_text(yaml.safe_dump(config))
+    assert is_done(tmp_path / "run", wanted(cell))
 
 
 def test_the_chosen_ones() -> None:
