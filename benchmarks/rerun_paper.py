@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +15,7 @@ import torch
 import yaml
 
 from benchmarks.footnote_2 import Falls, zero_policy_falls
-from edtorch.app.rundir import command_line, git_commit, json_text, versions
+from edtorch.app.rundir import git_commit, json_text, versions
 from edtorch.checkpoint import write_text
 from edtorch.report import samples
 from edtorch.report.comparison import Estimate, estimate
@@ -26,6 +28,7 @@ from edtorch.report.statistics import Spread
 from edtorch.report.tables import Table, as_markdown
 
 PUBLISHED = Path(__file__).with_name("published.yaml")
+COMMAND = "python -m benchmarks.rerun"
 FIGURE_2 = "figure_2/bicycle_paper"
 FIGURE_3 = ("figure_3/cardea_paper", "figure_3/cardea")
 CONDITIONS = ("five_features", "six_features")
@@ -401,7 +404,7 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
         "bootstrap": {"resamples": samples.RESAMPLES, "seed": samples.SEED},
         "versions": versions(),
         "git": git_commit(),
-        "command": command_line(),
+        "command": " ".join([COMMAND, *map(shlex.quote, sys.argv[1:])]),
     }
     write_text(folder / "paper.json", json_text(numbers))
     rows = published["rows"]
@@ -428,7 +431,7 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
     if numbers["missing"]:
         lines = [f"* {name}: {why}" for name, why in numbers["missing"].items()]
         blocks += ["## Missing", "\n".join(lines)]
-    blocks.append(f"Made by edtorch {versions()['edtorch']}: `{command_line()}`")
+    blocks.append(f"Made by edtorch {versions()['edtorch']}: `{numbers['command']}`")
     write_text(folder / "paper.md", "\n\n".join(blocks) + "\n")
 
 
