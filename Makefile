@@ -7,8 +7,9 @@ ARGS ?=
 # A browser for the tests of report.html; by default the one in the PATH.
 CHROMIUM ?=
 export CHROMIUM
-# What can be run; the others are what these share.
-BENCH ?= $(patsubst benchmarks/%.py,%,$(shell grep -l __main__ benchmarks/*.py))
+# What can be run; the others are what these share.  Those that learn for hours are run by name.
+BENCH ?= $(filter-out ablation cardea_figure rerun,\
+    $(patsubst benchmarks/%.py,%,$(shell grep -l __main__ benchmarks/*.py)))
 
 VENV := .venv
 PY := $(VENV)/bin/python
@@ -19,7 +20,8 @@ TEST_ENV := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEN
     PATH="$$PWD/$(VENV)/bin:$$PATH"
 PYTEST := $(TEST_ENV) $(PY) -m pytest -n $(JOBS) --dist worksteal
 
-.PHONY: help ride test test-long test-browser browser check format bench env dev clean distclean
+.PHONY: help ride test test-long test-browser test-paper browser check format bench paper env dev clean \
+    distclean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -39,6 +41,9 @@ test-long: $(VENV)/.dev  ## the tests against the committed results in runs/refe
 
 test-browser: $(VENV)/.dev browser  ## the tests of report.html in headless Chromium
 	$(PYTEST) -m browser $(ARGS)
+
+test-paper: $(VENV)/.paper $(VENV)/.dev  ## the test of make paper quick=1, for every night
+	$(PYTEST) -m paper $(ARGS)
 
 # A page is checked where it is read, and no wheel brings a browser: Debian's package does, for root.
 browser:
@@ -65,6 +70,10 @@ bench: $(VENV)/.bench  ## speed and accuracy, one file a question; BENCH="tick u
 	@set -e; for name in $(BENCH); do \
 	    echo "== $$name"; OMP_NUM_THREADS=1 $(PY) -m "benchmarks.$$name" $(ARGS); \
 	done
+
+# Cells that are there are kept: it can be stopped and continued.
+paper: $(VENV)/.paper  ## the paper, rerun into runs/reference/paper (hours); quick=1: in minutes
+	OMP_NUM_THREADS=1 $(PY) -m benchmarks.rerun --jobs $(JOBS) $(if $(quick),--quick) $(ARGS)
 
 env: $(VENV)/.core  ## the environment, with edtorch in it
 dev: $(VENV)/.dev  ## the same with the tools of a developer
@@ -113,4 +122,10 @@ $(VENV)/.dev: $(VENV)/.core
 $(VENV)/.bench: $(VENV)/.core
 	@rm -f $@
 	$(PIP_INSTALL) -e ".[bench]"
+	@touch $@
+
+# With the arm and the rivals of other people.
+$(VENV)/.paper: $(VENV)/.core
+	@rm -f $@
+	$(PIP_INSTALL) -e ".[cardea,rivals]"
 	@touch $@

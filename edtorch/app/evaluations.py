@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +11,13 @@ from omegaconf import DictConfig
 
 from edtorch.app.build import Setup
 from edtorch.app.keeping import Kept, better
+from edtorch.app.trials import Paid, Trials
 from edtorch.evaluation import evaluate
 from edtorch.interact import Training
 from edtorch.records import Episode
-from edtorch.report.statistics import goal_figures
+from edtorch.report.milestones import MILESTONES, checkpoints, milestones
+from edtorch.report.quantities import MINUTES
+from edtorch.report.statistics import Spread, goal_figures
 from edtorch.types import Parameters
 
 
@@ -26,13 +30,28 @@ class Evaluation:
 
     def as_json(self) -> dict[str, Any]:
         """For ``summary.json``."""
-        return {"minutes": self.minutes, **goal_figures(self.episodes)}
+        return {MINUTES: self.minutes, **goal_figures(self.episodes)}
+
+
+@dataclass(frozen=True)
+class News:
+    """Of an evaluation on the way; text: for the console; figures: spreads over the seeds."""
+
+    minutes: float
+    text: str
+    figures: dict[str, Any]
 
 
 class Evaluations:
     """Evaluates when it is time; ``wall_s`` and ``cpu_s`` are what that has taken so far.
 
-    kept: with ``eval.keep``, the best policies so far, judged by as many further episodes.
+    After each of ``eval.minutes`` the policies are tried for the milestones.  In a domain with a
+    goal, whose figures are told of every evaluation, and with ``eval.keep`` each policy runs all
+    its fresh episodes; elsewhere as ``Trials`` does, and only what has learned since its last trial
+    and has not been at every milestone yet.
+
+    done: the evaluations in full; kept: with ``eval.keep``, the best policies so far, judged by as
+    many further episodes; trials: None without ``eval.minutes``.
     """
 
     def __init__(self, setup: Setup, config: DictConfig) -> None:
@@ -41,51 +60,135 @@ class Evaluations:
         self._judged: int = config.eval.keep
         minutes = config.eval.minutes if self._episodes else []
         self._due = sorted({max(1, round(60 * m / setup.world.dt)) for m in minutes})
+        self._in_full = bool(setup.world.spec.goal) or self._judged > 0
         self.done: list[Evaluation] = []
         self.kept: Kept | None = None
+        size = len(setup.seeds)
+        self._parameters: Parameters = {}
+        self.trials = Trials(size, self._episodes, self._fresh) if self._due else None
         self._clock = -1
         self.wall_s = self.cpu_s = 0.0
+        self._began = time.process_time()
+        self._ticks = [0] * size
+        self._tried_at = [0] * size
+        self._paid_cpu_s = [0.0] * size
 
     def ticks_ahead(self, clock: int, most: int) -> int:
         """How many ticks may be run before the next evaluation, ``most`` at most."""
         later = [tick - clock for tick in self._due if tick > clock]
         return min([most, *later])
 
-    def run_if_due(self, training: Training) -> Evaluation | None:
+    def run_if_due(self, training: Training) -> News | None:
         """Evaluate if this is the tick for it."""
-        return self.run(training) if training.clock in self._due else None
+        if training.clock not in self._due:
+            return None
+        minutes = training.seconds / 60
+        if self._in_full:
+            figures = self.run(training).as_json()
+            del figures[MINUTES]
+            told = [
+                f"{name} {spread['median']:.3g}"
+                for name, spread in figures.items()
+                if spread["median"] is not None
+            ]
+        else:
+            figures, told = self._try(training)
+        return News(minutes, ", ".join(told), figures)
 
     def is_fresh(self, training: Training) -> bool:
-        """Whether there has been one at this very tick."""
+        """Whether there has been one in full at this very tick."""
         return self._clock == training.clock
 
     def run(self, training: Training) -> Evaluation:
-        """Evaluate now, unless it has just been done."""
+        """Evaluate now and in full, unless that has just been done."""
         if self.is_fresh(training):
             return self.done[-1]
+        self._charge(training)
         wall, cpu = time.monotonic(), time.process_time()
-        learner = self._setup.learner
-        # A world of its own: one that wraps a simulator is still in its last episode.
         episodes, minutes = [[] for _ in training.seeds], training.seconds / 60
         if self._episodes:
-            parameters, count = learner.acting(training.learners), self._episodes
-            found = evaluate(
-                learner.policy,
-                parameters,
-                self._setup.calm(),
-                training.seeds,
-                count + self._judged,
-                observer=learner.observer,
-            )
+            count = self._episodes
+            self._parameters = self._setup.learner.acting(training.learners)
+            found = self._fresh(range(len(training.seeds)), count + self._judged)
             episodes = [own[:count] for own in found]
             if self._judged:
                 judged = [own[count:] for own in found]
-                self.kept = better(self.kept, parameters, minutes, judged, episodes)
+                self.kept = better(self.kept, self._parameters, minutes, judged, episodes)
+        if self.trials is not None:
+            for row in self._changed():
+                self.trials.record(row, episodes[row], self._paid(training, row))
+            self._tried_at = list(self._ticks)
         self._clock = training.clock
         self.done.append(Evaluation(minutes, episodes))
         self.wall_s += time.monotonic() - wall
         self.cpu_s += time.process_time() - cpu
         return self.done[-1]
+
+    def _try(self, training: Training) -> tuple[dict[str, Any], list[str]]:
+        """For the milestones alone: figures of the last trials, and how many have been where."""
+        assert self.trials is not None
+        self._charge(training)
+        wall, cpu = time.monotonic(), time.process_time()
+        self._parameters = self._setup.learner.acting(training.learners)
+        there = [all(own) for own in zip(*map(self.trials.reached, MILESTONES), strict=True)]
+        rows = [row for row in self._changed() if not there[row]]
+        self.trials.run(rows, lambda row: self._paid(training, row))
+        for row in rows:
+            self._tried_at[row] = self._ticks[row]
+        last = [own[-1] for own in self.trials.history]
+        figures = {
+            "fall_rate": Spread([c.fall_rate for c in last]).as_json(),
+            "goal_rate": Spread([c.goal_rate for c in last]).as_json(),
+        }
+        size = len(last)
+        told = [f"{name} {sum(self.trials.reached(name))} of {size}" for name in MILESTONES]
+        self.wall_s += time.monotonic() - wall
+        self.cpu_s += time.process_time() - cpu
+        return figures, told
+
+    def _fresh(self, rows: Sequence[int], count: int) -> list[list[Episode]]:
+        picked = {name: p[list(rows)] for name, p in self._parameters.items()}
+        seeds = [self._setup.seeds[row] for row in rows]
+        # A world of its own: one that wraps a simulator is still in its last episode.
+        learner, world = self._setup.learner, self._setup.calm()
+        return evaluate(learner.policy, picked, world, seeds, count, observer=learner.observer)
+
+    def _charge(self, training: Training) -> None:
+        """Share the CPU seconds of learning since the last call out among those who lived."""
+        spent = time.process_time() - self._began - self.cpu_s - sum(self._paid_cpu_s)
+        ticks = training.learners.tick.tolist()
+        lived = [now - before for now, before in zip(ticks, self._ticks, strict=True)]
+        for row, own in enumerate(lived):
+            self._paid_cpu_s[row] += spent * own / max(1, sum(lived))
+        self._ticks = ticks
+
+    def _changed(self) -> list[int]:
+        """Rows that have learned since they were last tried, or never were."""
+        assert self.trials is not None
+        return [
+            row
+            for row, (now, then) in enumerate(zip(self._ticks, self._tried_at, strict=True))
+            if now > then or not self.trials.history[row]
+        ]
+
+    def _paid(self, training: Training, row: int) -> Paid:
+        here = training.worlds
+        return Paid(
+            seconds=self._ticks[row] * training.world.dt,
+            episodes=int(here.episodes[row]),
+            falls=int(here.falls[row]),
+            cpu_s=self._paid_cpu_s[row],
+        )
+
+    def milestones(self) -> dict[str, Any]:
+        """For ``summary.json``: ``milestones`` and ``checkpoints``; nothing without any."""
+        if self.trials is None:
+            return {}
+        history = self.trials.history
+        return {
+            "milestones": milestones(history, self._setup.seeds),
+            "checkpoints": checkpoints(history),
+        }
 
     def to_save(self, training: Training) -> Parameters:
         """The policies that the run is to leave: those kept, or those of now."""

@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,18 +28,16 @@ from edtorch.app.errors import ConfigError, under
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
 from edtorch.app.summary import summary_table
+from edtorch.app.trials import Paid, Trials
 from edtorch.checkpoint import PolicyCard, save_policy, write_text
 from edtorch.evaluation import evaluate
 from edtorch.log import median
 from edtorch.records import Budget, Episode
-from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoint, milestones
+from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoints, milestones
 from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
 from edtorch.rivals.base import Problem, Rival, Search
 from edtorch.world import World
 
-SCREENING = 2
-"""Fresh episodes that a policy must end without a fall before it is tried in all of them: one that
-falls in one of these is not stable, and most of what a rival tries falls."""
 SECONDS_BETWEEN_LINES = 10.0
 COLUMNS = ("simulated_seconds", "episodes", "falls", "rides", "cpu_s", "fall_rate", "goal_rate")
 
@@ -143,59 +142,21 @@ class _Report:
             self._board.close()
 
 
-class _Trials:
-    """Fresh episodes of the policies of now, and what has come of those before."""
+def _trials(setup: RivalSetup, search: Search) -> Trials:
+    def fresh(rows: Sequence[int], count: int) -> list[list[Episode]]:
+        picked = {k: p[list(rows)] for k, p in search.parameters.items()}
+        seeds = [setup.seeds[row] for row in rows]
+        return evaluate(search.actor, picked, setup.calm, seeds, count)
 
-    def __init__(self, setup: RivalSetup, search: Search) -> None:
-        self._setup = setup
-        self._search = search
-        self.history: list[list[Checkpoint]] = [[] for _ in setup.seeds]
-        self.last: list[list[Episode]] = [[] for _ in setup.seeds]
-        self.wall_s = 0.0
-
-    def _episodes(self, rows: Sequence[int], count: int) -> None:
-        if not rows:
-            return
-        picked = {k: p[list(rows)] for k, p in self._search.parameters.items()}
-        seeds = [self._setup.seeds[row] for row in rows]
-        found = evaluate(self._search.actor, picked, self._setup.calm, seeds, count)
-        for row, own in zip(rows, found, strict=True):
-            self.last[row] = own
-
-    def _falls(self, row: int) -> bool:
-        return not all(e.is_ride for e in self.last[row])
-
-    def run(self, rows: Sequence[int], cpu_s: Sequence[float]) -> dict[int, Checkpoint]:
-        """Try those of ``rows``; cpu_s: paid by each seed so far."""
-        began = time.monotonic()
-        most = self._setup.episodes
-        self._episodes(rows, min(SCREENING, most))
-        if most > SCREENING:
-            self._episodes([row for row in rows if not self._falls(row)], most)
-        fresh: dict[int, Checkpoint] = {}
-        for row in rows:
-            account = self._search.accounts[row]
-            fresh[row] = checkpoint(
-                self.last[row],
-                seconds=account.seconds,
-                falls=account.falls,
-                paid=account.episodes,
-                cpu_s=cpu_s[row],
-            )
-            self.history[row].append(fresh[row])
-        self.wall_s += time.monotonic() - began
-        return fresh
-
-    def complete(self) -> list[list[Episode]]:
-        """All episodes of the last policies, those that were only screened included."""
-        began = time.monotonic()
-        most = self._setup.episodes
-        self._episodes([k for k, own in enumerate(self.last) if len(own) < most], most)
-        self.wall_s += time.monotonic() - began
-        return self.last
+    return Trials(len(setup.seeds), setup.episodes, fresh)
 
 
-def _search(setup: RivalSetup, search: Search, trials: _Trials, report: _Report) -> list[float]:
+def _paid(search: Search, cpu_s: Sequence[float], row: int) -> Paid:
+    account = search.accounts[row]
+    return Paid(account.seconds, account.episodes, account.falls, cpu_s[row])
+
+
+def _search(setup: RivalSetup, search: Search, trials: Trials, report: _Report) -> list[float]:
     """Piece by piece to the end of every budget; CPU seconds that each seed took."""
     cpu_s = [0.0] * len(setup.seeds)
     count = 0
@@ -214,7 +175,7 @@ def _search(setup: RivalSetup, search: Search, trials: _Trials, report: _Report)
             cpu_s[row] += took
         count += 1
         with torch.inference_mode():
-            report.write(search, trials.run(rows, cpu_s), count)
+            report.write(search, trials.run(rows, partial(_paid, search, cpu_s)), count)
         report.pause()
 
 
@@ -224,22 +185,8 @@ def _arrived(setup: RivalSetup, history: Sequence[Checkpoint]) -> bool:
     return bool(getattr(history[-1], MILESTONES[setup.until]))
 
 
-def _checkpoints(history: Sequence[Sequence[Checkpoint]]) -> list[dict[str, Any]]:
-    """The k-th of each seed beside each other, null for a seed that has no k-th."""
-    names = ("seconds", "episodes", "falls", "cpu_s", "fall_rate", "goal_rate")
-    return [
-        {
-            name: Spread(
-                [getattr(own[k], name) if k < len(own) else None for own in history]
-            ).as_json()
-            for name in names
-        }
-        for k in range(max(map(len, history)))
-    ]
-
-
 def _summary(
-    setup: RivalSetup, search: Search, trials: _Trials, cpu_s: Sequence[float], wall_s: float
+    setup: RivalSetup, search: Search, trials: Trials, cpu_s: Sequence[float], wall_s: float
 ) -> dict[str, Any]:
     """The content of ``summary.json``: a learner's, with ``milestones`` and ``checkpoints``."""
     lived = [account.seconds for account in search.accounts]
@@ -249,7 +196,7 @@ def _summary(
         **first_ride_figures([a.first_ride for a in search.accounts], setup.seeds),
         **evaluation_figures(trials.complete()),
         "milestones": milestones(trials.history, setup.seeds),
-        "checkpoints": _checkpoints(trials.history),
+        "checkpoints": checkpoints(trials.history),
         "episodes": Spread([a.episodes for a in search.accounts]).as_json(),
         "falls": Spread([a.falls for a in search.accounts]).as_json(),
         "simulated_seconds": lived,
@@ -281,7 +228,7 @@ def run_rival(
     title = f"{setup.problem.world.spec.name}, {setup.name}, {len(setup.seeds)} seeds"
     with under("rival"):
         search = setup.rival.begin(setup.problem)
-    trials = _Trials(setup, search)
+    trials = _trials(setup, search)
     report = _Report(setup, config, folder, stop, console)
     began = time.monotonic()
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +9,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.table import Table
 
-from edtorch.app.evaluations import Evaluation
-from edtorch.app.keeping import Kept
+from edtorch.app.evaluations import Evaluations
 from edtorch.app.rundir import command_line, versions
 from edtorch.interact import Training
 from edtorch.learner import Check
@@ -47,21 +45,15 @@ def broken(training: Training) -> dict[int, tuple[str, int]]:
     return {row: (Check(places[row]).name.lower(), sound_ticks[row]) for row in rows}
 
 
-def summarise(
-    training: Training,
-    timing: Timing,
-    evaluations: Sequence[Evaluation],
-    kept: Kept | None = None,
-) -> dict[str, Any]:
-    """The content of ``summary.json``; ``evaluations``: at least one, the last of the end; kept:
-    the policies that the run leaves, if those are not the last."""
-    last = evaluations[-1]
+def summarise(training: Training, timing: Timing, evaluations: Evaluations) -> dict[str, Any]:
+    """The content of ``summary.json``, after at least one evaluation in full: that of the end."""
+    last, kept = evaluations.done[-1], evaluations.kept
     has_goal = bool(training.world.spec.goal) and any(last.episodes)
     reached = {}
     if has_goal:
         reached = {
             "lost_episodes": sum(e.measures.get("lost", 0.0) > 0 for e in training.episodes),
-            "evaluations": [evaluation.as_json() for evaluation in evaluations],
+            "evaluations": [evaluation.as_json() for evaluation in evaluations.done],
             "final": last.as_json(),
         }
     if kept is not None:
@@ -72,6 +64,7 @@ def summarise(
         **learning_figures(training.episodes, training.seeds, lived),
         **evaluation_figures(last.episodes),
         **reached,
+        **evaluations.milestones(),
         "simulated_seconds": lived,
         "ticks": timing.ticks,
         "ticks_per_cpu_s": timing.ticks_per_cpu_s,

@@ -23,7 +23,7 @@ from rich.console import Console
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
 from edtorch.app.errors import ConfigError, guarded, refusing
-from edtorch.app.evaluations import Evaluation, Evaluations
+from edtorch.app.evaluations import Evaluations, News
 from edtorch.app.folders import remove_empty
 from edtorch.app.pictures import draw, draw_reaching
 from edtorch.app.rival import build_search, is_rival, is_search, run_search
@@ -135,18 +135,13 @@ def _go_on_compiled(training: Training, learner: Learner, *, required: bool) -> 
     )
 
 
-def _report_evaluation(job: _Job, done: Evaluation, sinks: list[Sink]) -> None:
+def _report_evaluation(job: _Job, news: News, sinks: list[Sink]) -> None:
     """One line on the console, and scalars."""
-    figures = {k: v for k, v in done.as_json().items() if k != "minutes"}
-    text = ", ".join(
-        f"{name} {spread['median']:.3g}"
-        for name, spread in figures.items()
-        if spread["median"] is not None
-    )
-    job.console.print(f"after {done.minutes:g} min: {text}", soft_wrap=True, highlight=False)
+    line = f"after {news.minutes:g} min: {news.text}"
+    job.console.print(line, soft_wrap=True, highlight=False)
     for sink in sinks:
         if isinstance(sink, TensorBoardSink):
-            sink.spreads("evaluation", figures, round(60 * done.minutes))
+            sink.spreads("evaluation", news.figures, round(60 * news.minutes))
 
 
 def _learn(job: _Job, training: Training, sinks: list[Sink], evaluations: Evaluations) -> None:
@@ -173,9 +168,9 @@ def _learn(job: _Job, training: Training, sinks: list[Sink], evaluations: Evalua
         reported = len(training.episodes)
         _warn_of_trouble(training, warned)
         _warn_of_floors(training, floored)
-        evaluation = evaluations.run_if_due(training)
-        if evaluation is not None:
-            _report_evaluation(job, evaluation, sinks)
+        news = evaluations.run_if_due(training)
+        if news is not None:
+            _report_evaluation(job, news, sinks)
         if training.seconds >= next_save:
             save_training(job.path / CHECKPOINT, training)
             next_save += log.checkpoint
@@ -257,7 +252,7 @@ def _train(job: _Job) -> dict[str, Any]:
                     figure = draw(training, job.path, animate=animate)
                 if board is not None:
                     board.writer.add_figure("learning_curve", figure, round(training.seconds))
-        summary = summarise(training, timing, evaluations.done, evaluations.kept)
+        summary = summarise(training, timing, evaluations)
         if board is not None:
             board.hparams(flat_settings(config), medians(summary))
     finally:

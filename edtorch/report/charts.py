@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from edtorch.report import samples
 from edtorch.report.comparison import ZERO_FALLS, Comparison, Estimate, Row
-from edtorch.report.quantities import FALLS, FINAL, MINUTES, SECONDS, Quantity
+from edtorch.report.quantities import FALLS, FINAL, MINUTES, SECONDS, TO_GOAL, TO_STABLE, Quantity
 from edtorch.report.reaching import COLOURS
 from edtorch.report.samples import Array, Sample
 
@@ -49,6 +49,12 @@ def charts(comparison: Comparison) -> list[Chart]:
     if columns:
         title = f"{section}: estimates with 95 % intervals"
         found.append(Chart(f"{prefix}_intervals", title, lambda w: _forest(comparison, columns, w)))
+    milestones = _estimated(comparison, (*TO_STABLE, *TO_GOAL))
+    if milestones:
+        title = f"{section}: paid to stable riding and to the goal, with 95 % intervals"
+        found.append(
+            Chart(f"{prefix}_milestones", title, lambda w: _forest(comparison, milestones, w))
+        )
     if not comparison.section.searches:
         title = f"{section}: share of the seeds that had ridden"
         found.append(Chart(f"{prefix}_seeds", title, lambda w: _distributions(comparison, w)))
@@ -118,21 +124,26 @@ def _point(estimate: Estimate) -> _Point:
     return _Point(shown.value, shown.low, shown.high, certain, estimate.at_least)
 
 
-def _columns(comparison: Comparison) -> list[_Column]:
-    rows = comparison.rows
-    finals = [q for q in comparison.quantities if q.path[0] == FINAL]
-    chosen = [q for q in (FALLS, SECONDS) if q in comparison.quantities] + finals[:1]
-    columns = [
+def _estimated(comparison: Comparison, chosen: Sequence[Quantity]) -> list[_Column]:
+    """Of those that this comparison has."""
+    return [
         _Column(
             quantity.label.removeprefix("evaluation: "),
             {
                 row.group.label: _point(row.estimates[quantity.name])
-                for row in rows
+                for row in comparison.rows
                 if quantity.name in row.estimates
             },
         )
         for quantity in chosen
+        if quantity in comparison.quantities
     ]
+
+
+def _columns(comparison: Comparison) -> list[_Column]:
+    rows = comparison.rows
+    finals = [q for q in comparison.quantities if q.path[0] == FINAL]
+    columns = _estimated(comparison, (FALLS, SECONDS, *finals[:1]))
     if comparison.section.searches:
         shares = dict.fromkeys(name for row in rows for name in row.shares)
     else:

@@ -130,7 +130,8 @@ def compare(section: Section) -> Comparison:
     return _compare_searches(section) if section.searches else _compare_learners(section)
 
 
-def _estimate(quantity: Quantity, own: Sample, baseline: Sample | None) -> Estimate:
+def estimate(quantity: Quantity, own: Sample, baseline: Sample | None = None) -> Estimate:
+    """Of a quantity in one group, beside the baseline if there is one."""
     median = (
         samples.kaplan_meier_median(own)
         if own.censored.any()
@@ -164,7 +165,7 @@ def _compare_learners(section: Section) -> Comparison:
             if own is not None:
                 other = None if base is None else base.estimates.get(quantity.name)
                 against = None if other is None else other.sample
-                estimates[quantity.name] = _estimate(quantity, own, against)
+                estimates[quantity.name] = estimate(quantity, own, against)
         shares = _shares({ZERO_FALLS: zero_falls(group), RODE: rode(group)}, base)
         rows.append(Row(group, estimates, shares))
     return Comparison(section, tuple(told), tuple(rows))

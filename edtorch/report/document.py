@@ -11,7 +11,16 @@ from edtorch.report.charts import Chart, charts
 from edtorch.report.comparison import RODE, ZERO_FALLS, Comparison, Estimate, Row, Share
 from edtorch.report.groups import shown
 from edtorch.report.proportions import Proportion
-from edtorch.report.quantities import FALLS, FALLS_AFTER, FINAL, SECONDS, Quantity
+from edtorch.report.quantities import (
+    FALLS,
+    FALLS_AFTER,
+    FINAL,
+    SECONDS,
+    TITLES,
+    TO_GOAL,
+    TO_STABLE,
+    Quantity,
+)
 from edtorch.report.runs import LeftOut
 from edtorch.report.samples import Interval
 from edtorch.report.tables import Table
@@ -76,7 +85,9 @@ def _section(comparison: Comparison) -> Part:
     return Part(
         comparison.section.title,
         charts=tuple(charts(comparison)),
-        tables=tuple([overview(comparison), *_against_baseline(comparison)]),
+        tables=tuple(
+            [overview(comparison), *milestones(comparison), *_against_baseline(comparison)]
+        ),
         folded=(*_details(comparison), _settings(comparison), _runs(comparison)),
     )
 
@@ -107,10 +118,14 @@ def _censored(estimate: Estimate) -> str:
 
 
 def _cell(row: Row, quantity: Quantity) -> str:
-    """Of the overview: the IQM with its interval, or what there is instead."""
+    """Of the overview."""
     estimate = row.estimates.get(quantity.name)
-    if estimate is None:
-        return NONE
+    return NONE if estimate is None else cell(estimate)
+
+
+def cell(estimate: Estimate) -> str:
+    """The IQM with its interval, or what there is instead."""
+    quantity = estimate.quantity
     lost = f" {_censored(estimate)}" if estimate.censored else ""
     if estimate.middle is None:
         return f"KM {_median(estimate)}{lost}"
@@ -120,6 +135,13 @@ def _cell(row: Row, quantity: Quantity) -> str:
     return (
         f"{number(estimate.middle.value, digits)} {_bracket(estimate.middle, digits)}{worst}{lost}"
     )
+
+
+def median_cell(estimate: Estimate) -> str:
+    """The median with its interval, by Kaplan and Meier where some are censored."""
+    lost = f" {_censored(estimate)}" if estimate.censored else ""
+    mark = "KM " if estimate.middle is None else ""
+    return f"{mark}{_median(estimate)}{lost}"
 
 
 def percent(share: float, total: int) -> str:
@@ -172,6 +194,29 @@ def _trained(row: Row) -> int:
 
 def _is_headline(quantity: Quantity) -> bool:
     return quantity.path[-1] in ("joint_error_rad", "crash_rate", "success_rate")
+
+
+MILESTONES_NOTE = (
+    "Policies are tried at checkpoints, in fresh episodes that cost no experience. What a seed had"
+    " paid at its first checkpoint where none of them was a fall (stable riding), and where all of"
+    " them ended at the goal; the moment itself lies between it and the checkpoint before. IQM over"
+    " the seeds with its 95 % interval; censored: seeds that were never there."
+)
+
+
+def milestones(comparison: Comparison) -> list[Table]:
+    """What was paid until policies rode, and until they rode to the goal; nothing without any."""
+    told = [q for q in (*TO_STABLE, *TO_GOAL) if q in comparison.quantities]
+    if not told:
+        return []
+    header = ("group", "seeds")
+    header += tuple(f"to {TITLES[q.milestone]}: {q.brief}" for q in told)
+    rows = [
+        (row.group.label, str(len(row.group.seeds)), *(_cell(row, q) for q in told))
+        for row in comparison.rows
+    ]
+    title = f"{comparison.section.title}, milestones"
+    return [Table(title, header, tuple(rows), MILESTONES_NOTE)]
 
 
 def _search_overview(comparison: Comparison, title: str) -> Table:

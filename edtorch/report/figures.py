@@ -64,7 +64,38 @@ def learning_curve(episodes: Sequence[Episode], rows: int, ride: Ride | None, ti
     return figure
 
 
-def _lengths(axes, episodes: Sequence[Episode], rows: int) -> None:
+def episode_lengths(
+    episodes: Sequence[Episode], rows: int, title: str, shortest: float | None = None
+) -> Figure:
+    """The upper graph alone; shortest: where the dashed line is, if the episodes do not tell."""
+    figure = Figure(figsize=(8, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    _lengths(figure.subplots(), episodes, rows, shortest)
+    figure.suptitle(title)
+    return figure
+
+
+def one_ride(ride: Ride, title: str) -> Figure:
+    """The lower graph alone."""
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    _one_ride(figure.subplots(), ride)
+    figure.suptitle(title)
+    return figure
+
+
+def _shortest(episodes: Sequence[Episode]) -> float | None:
+    """Median of what the starts of the successful episodes allow."""
+    measured = [
+        e.measures.get("shortest_time_s", math.nan)
+        for e in episodes
+        if e.outcome is Outcome.SUCCEEDED
+    ]
+    known = [s for s in measured if math.isfinite(s)]
+    return float(np.median(known)) if known else None
+
+
+def _lengths(axes, episodes: Sequence[Episode], rows: int, shortest: float | None = None) -> None:
     for row in range(rows):
         own = [e for e in episodes if e.row == row]
         ends = [e.start + e.seconds for e in own]
@@ -82,14 +113,8 @@ def _lengths(axes, episodes: Sequence[Episode], rows: int) -> None:
                 label=f"{label} ({len(some)})",
                 zorder=3,
             )
-    shortest = [e.measures.get("shortest_time_s", math.nan) for e in episodes]
-    shortest = [
-        s
-        for s, e in zip(shortest, episodes, strict=True)
-        if e.outcome is Outcome.SUCCEEDED and math.isfinite(s)
-    ]
-    if shortest:
-        best = float(np.median(shortest))
+    best = _shortest(episodes) if shortest is None else shortest
+    if best is not None:
         axes.axhline(best, linestyle="--", color="#333333", linewidth=1)
         axes.annotate(
             f"shortest possible, {best:.0f} s",

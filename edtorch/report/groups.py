@@ -139,7 +139,7 @@ def sections(
                 differing={key: settings.get(key, UNSET) for key in differing},
                 settings=settings,
                 runs=tuple(own),
-                places=tuple(_places(own)),
+                places=tuple(places(own)),
             )
             for label, title, settings, own in zip(labels, titles, every, pooled, strict=True)
         ]
@@ -196,12 +196,13 @@ def _listed(seeds: Sequence[int], most: int = 8) -> str:
     return f"seed{'s' if len(seeds) > 1 else ''} {shown}{more}"
 
 
-def _places(runs: Sequence[Run]) -> list[Place]:
-    places: dict[int, Place] = {}
+def places(runs: Sequence[Run]) -> list[Place]:
+    """Of every seed once, in order."""
+    found: dict[int, Place] = {}
     for run in runs:
         for row, seed in enumerate(run.seeds):
-            places.setdefault(seed, Place(seed, run, row))
-    return sorted(places.values(), key=lambda place: place.seed)
+            found.setdefault(seed, Place(seed, run, row))
+    return sorted(found.values(), key=lambda place: place.seed)
 
 
 def _short_names(paths: Sequence[Path]) -> dict[Path, str]:

@@ -84,3 +84,19 @@ def milestones(history: Sequence[Sequence[Checkpoint]], seeds: Sequence[int]) ->
             "never": [seed for seed, c in zip(seeds, first, strict=True) if c is None],
         }
     return found
+
+
+AT_CHECKPOINTS = (*PAID, "fall_rate", "goal_rate")
+
+
+def checkpoints(history: Sequence[Sequence[Checkpoint]]) -> list[dict[str, Any]]:
+    """For ``summary.json``: the k-th of each seed beside each other, null where there is none."""
+    return [
+        {
+            name: Spread(
+                [getattr(own[k], name) if k < len(own) else None for own in history]
+            ).as_json()
+            for name in AT_CHECKPOINTS
+        }
+        for k in range(max(map(len, history)))
+    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
@@ -55,3 +56,21 @@ def same_rate(one: Proportion, other: Proportion) -> float:
     if deviation == 0:
         return 1.0
     return 2 * NormalDist().cdf(-abs(one.rate - other.rate) / deviation)
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """p of several tests, each adjusted so that none is below the chance of any false alarm.
+
+    The step-down procedure of S. Holm, "A simple sequentially rejective multiple test procedure",
+    Scandinavian Journal of Statistics 6, 1979: with m tests the k-th smallest p (from 0) times
+    m - k, no less than any before it, 1 at most.  Raises ValueError for what is no probability.
+    """
+    for value in p:
+        if not 0 <= value <= 1:
+            raise ValueError(f"p={value}: expected a probability")
+    adjusted = [1.0] * len(p)
+    least = 0.0
+    for rank, place in enumerate(sorted(range(len(p)), key=p.__getitem__)):
+        least = max(least, min(1.0, (len(p) - rank) * p[place]))
+        adjusted[place] = least
+    return adjusted

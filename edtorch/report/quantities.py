@@ -17,7 +17,7 @@ class Quantity:
     path: where it stands in ``summary.json``; brief: its label where there is little room; digits:
     after the point; more_is_better: how a learner improves on another; until_ride: it counts up to
     the first ride, and is censored for a learner that never rode; after_ride: such a learner has
-    none.
+    none; milestone: in place of the first ride for these two.
     """
 
     path: tuple[str, ...]
@@ -27,6 +27,7 @@ class Quantity:
     more_is_better: bool = False
     until_ride: bool = False
     after_ride: bool = False
+    milestone: str = ""
 
     @property
     def name(self) -> str:
@@ -65,6 +66,41 @@ FINAL = "final"
 MINUTES = "minutes"
 
 
+MILESTONES = "milestones"
+"""Where they stand in ``summary.json``."""
+TITLES = {"stable": "stable riding", "goal": "the goal"}
+"""Of the milestones, as in "what was paid to ..."."""
+
+
+def _milestone(name: str) -> tuple[Quantity, ...]:
+    to = TITLES[name]
+
+    def paid(key: str, what: str, digits: int) -> Quantity:
+        place = (MILESTONES, name, key)
+        return Quantity(place, f"{what} to {to}", what, digits, until_ride=True, milestone=name)
+
+    path = Quantity(
+        (MILESTONES, name, "path_length_m"),
+        f"path length of the first policy at {to}, m",
+        "path, m",
+        0,
+        after_ride=True,
+        milestone=name,
+    )
+    return (
+        paid("falls", "falls", 1),
+        paid("seconds", "simulated seconds", 1),
+        paid("cpu_s", "CPU seconds", 2),
+        path,
+    )
+
+
+TO_STABLE = _milestone("stable")[:3]
+TO_GOAL = _milestone("goal")
+"""What was paid before a policy first rode in all its fresh episodes, and first to the goal in all
+of them; and how long its path then was."""
+
+
 def quantities(section: Section) -> list[Quantity]:
     """Those that some learner of the section has."""
     finals: dict[str, None] = {}
@@ -74,7 +110,7 @@ def quantities(section: Section) -> list[Quantity]:
     finals.pop(MINUTES, None)
     # Those of a family of tasks tell the same as the plain evaluation, and more.
     after = [_final(key) for key in finals] if finals else list(EVALUATION)
-    every = [FALLS, SECONDS, FALLS_AFTER, *after]
+    every = [FALLS, SECONDS, FALLS_AFTER, *after, *TO_STABLE, *TO_GOAL]
     return [
         quantity
         for quantity in every
@@ -94,9 +130,20 @@ def never_rode(group: Group) -> list[bool]:
     return [place.seed in place.run.summary["never_rode"] for place in group.places]
 
 
+def _never(quantity: Quantity, group: Group) -> list[bool]:
+    """Of each seed, whether it never was where the quantity counts to."""
+    if not quantity.milestone:
+        return never_rode(group)
+    return [
+        place.seed
+        in place.run.summary.get(MILESTONES, {}).get(quantity.milestone, {}).get("never", ())
+        for place in group.places
+    ]
+
+
 def sample(quantity: Quantity, group: Group) -> Sample | None:
     """Its values in a group; None without any."""
-    marks = never_rode(group)
+    marks = _never(quantity, group)
     pairs = [
         (value, never and quantity.until_ride)
         for value, never in zip(group.per_seed(*quantity.path), marks, strict=True)

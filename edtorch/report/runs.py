@@ -221,11 +221,25 @@ def _check_learning(summary: Mapping[str, Any]) -> None:
     if not _is_list_of(int, never) or not set(never or ()) <= set(seeds):
         raise Unusable(f"corrupted: {SUMMARY}: never_rode: expected some of its seeds")
     _check_spreads(summary, len(seeds), "")
+    _check_milestones(summary, seeds)
     if not isinstance(summary.get("final", {}), dict):
         raise Unusable(f"corrupted: {SUMMARY}: final: expected figures by name")
     evaluations = summary.get("evaluations", [])
     if not isinstance(evaluations, list) or not all(map(_is_evaluation, evaluations)):
         raise Unusable(f"corrupted: {SUMMARY}: evaluations: expected figures, each with minutes")
+
+
+def _check_milestones(summary: Mapping[str, Any], seeds: Sequence[int]) -> None:
+    """Each with what was paid, and the seeds that were never there."""
+    found = summary.get("milestones", {})
+    if not isinstance(found, dict):
+        raise Unusable(f"corrupted: {SUMMARY}: milestones: expected figures by name")
+    for name, told in found.items():
+        never = told.get("never") if isinstance(told, dict) else None
+        if not _is_list_of(int, never) or not set(never or ()) <= set(seeds):
+            raise Unusable(
+                f"corrupted: {SUMMARY}: milestones.{name}.never: expected some of its seeds"
+            )
 
 
 def _is_evaluation(node: Any) -> bool:

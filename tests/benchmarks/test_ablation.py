@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hydra.core.config_store import ConfigStore
 
 from benchmarks import ablation
-from benchmarks.ablation import CELLS, BadCells, Cell, is_done, read_cells, wanted
-from tests.app.conftest import call
+from benchmarks.ablation import CELLS, read_cells
+from benchmarks.cells import BadCells, wanted
+from tests.benchmarks.in_process import in_this_process
 
 LINEAR = """
 seeds: 2
@@ -24,13 +23,6 @@ tables:
     cells:
       larger_step: [step.alpha=0.7]
 """
-
-
-@pytest.fixture(autouse=True)
-def hydra(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    store = ConfigStore.instance()
-    monkeypatch.setattr(store, "repo", {"hydra": store.repo.get("hydra", {})})
-    yield
 
 
 @pytest.mark.oracle
@@ -68,30 +60,12 @@ def test_refuses_bad_cells(before: str, after: str, why: str) -> None:
         read_cells(LINEAR.replace(before, after))
 
 
-class _OneByOne:
-    """In place of the pool of threads: a run in this process wants its signals."""
-
-    def __init__(self, _: int) -> None: ...
-
-    def shutdown(self, *, cancel_futures: bool) -> None: ...
-
-    def map(self, function: Callable[[Cell], int], cells: list[Cell]) -> list[int]:
-        return [function(cell) for cell in cells]
-
-
-def _in_this_process(code: str, arguments: list[str], log: Path | None = None) -> int:
-    """What ``python -c CODE ARGUMENTS`` would do, without the seconds that it takes to start."""
-    name = "edtorch-train" if code == ablation.TRAIN else "edtorch-report"
-    return call(name, *arguments).status
-
-
 @pytest.mark.experiment
 def test_runs_what_is_not_there_and_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(ablation, "ThreadPoolExecutor", _OneByOne)
-    monkeypatch.setattr(ablation, "_python", _in_this_process)
+    in_this_process(monkeypatch)
     Path("cells.yaml").write_text(LINEAR)
 
     def ablate(*arguments: str) -> object:
@@ -125,13 +99,3 @@ def test_runs_what_is_not_there_and_reports(
         " --output"
     )
     assert "--only=added/x: expected one of added/plain" in str(ablate("--only", "added/x"))
-
-
-def test_what_is_no_run_is_not_replaced(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(BadCells, match="expected a run or nothing"):
-        is_done(tmp_path, {})
-
-
-def test_an_empty_folder_is_not_done(tmp_path: Path) -> None:
-    assert not is_done(tmp_path, wanted(Cell("t", "c", ("experiment=bicycle",), True)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edtorch.report.proportions import Proportion, same_rate
+from edtorch.report.proportions import Proportion, holm, same_rate
 
 
 def test_wilson_of_the_paper_s_figures() -> None:
@@ -38,3 +38,25 @@ def test_same_rate() -> None:
 def test_refuses_what_is_no_share(count: int, total: int) -> None:
     with pytest.raises(ValueError, match="expected an integer"):
         Proportion(count, total)
+
+
+def test_holm() -> None:
+    """By hand: 4 * .005, 3 * .01, 2 * .03, and .04 no less than that."""
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.4, 0.9, 0.6]) == [1.0, 1.0, 1.0]
+    assert holm([0.2]) == [0.2]
+    assert holm([]) == []
+
+
+def test_holm_between_bonferroni_and_nothing() -> None:
+    p = [0.5, 0.002, 0.03, 0.03, 0.2, 0.011]
+    for adjusted, own in zip(holm(p), p, strict=True):
+        assert own <= adjusted <= min(1.0, len(p) * own)
+    # The order of the tests does not matter.
+    assert holm(p[::-1]) == holm(p)[::-1]
+
+
+@pytest.mark.parametrize("p", [-0.1, 1.1, float("nan")])
+def test_holm_refuses_what_is_no_probability(p: float) -> None:
+    with pytest.raises(ValueError, match="expected a probability"):
+        holm([0.5, p])

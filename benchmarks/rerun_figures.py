@@ -1,0 +1,111 @@
+"""The paper's figures from the runs of their cells: Figure 2 upper and lower, Figure 3."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmarks.cardea_figure import episodes_of as reaching_episodes
+from benchmarks.rerun_paper import FIGURE_2, FIGURE_3, Material
+from edtorch.app.build import build_actor, build_sim, policy_card
+from edtorch.app.rundir import POLICY, load_config
+from edtorch.app.schemas import register
+from edtorch.checkpoint import load_policy, policy_dtype
+from edtorch.evaluation import evaluate
+from edtorch.records import Episode
+from edtorch.report.figures import Ride, episode_lengths, one_ride, save_figure
+from edtorch.report.reaching import reaching_curve
+from edtorch.report.runs import Run
+from edtorch.world import World
+from sims.base import Outcome
+
+STARTS = 1000
+"""Of which the median of the shortest possible times is taken."""
+
+
+def draw(material: Material, folder: Path) -> list[str]:
+    """Those that there are runs for; their names."""
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn: list[str] = []
+    for run in material.runs.get(FIGURE_2, []):
+        drawn += _figure_2(run, folder)
+    reaching = {
+        row.rpartition("/")[2]: reaching_episodes(run.path)
+        for row in FIGURE_3
+        for run in material.runs.get(row, [])
+    }
+    if reaching:
+        title = "Error and speed at the ends of the episodes, actions perturbed"
+        save_figure(reaching_curve(reaching, title), folder, "figure_3")
+        drawn.append("figure_3")
+    return drawn
+
+
+def _episodes(folder: Path) -> tuple[list[Episode], int]:
+    """The finished episodes of a run, and how many learners it has."""
+    with (folder / "episodes.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    seeds = sorted({int(row["seed"]) for row in rows})
+    episodes = [
+        Episode(
+            row=seeds.index(int(row["seed"])),
+            number=int(row["episode"]),
+            start=float(row["start_s"]),
+            seconds=float(row["seconds"]),
+            outcome=Outcome[row["outcome"].upper()],
+            measures={},
+        )
+        for row in rows
+    ]
+    return episodes, len(seeds)
+
+
+def _figure_2(run: Run, folder: Path) -> list[str]:
+    """Length of episode against training time; the angle to the goal in one episode after it."""
+    register()
+    config = load_config(run.path)
+    sim = build_sim(config.domain)
+    path = run.path / POLICY
+    dtype = policy_dtype(path)
+    world = World(sim, dtype, unwrap=config.observation.unwrap)
+    policy, shapes = build_actor(config, sim, dtype)
+    parameters = load_policy(path, policy_card(sim, policy, run.seeds), shapes)
+
+    episodes, size = _episodes(run.path)
+    title = f"Figure 2, upper: {size} learners"
+    upper = episode_lengths(episodes, size, title, shortest=_shortest(world))
+    save_figure(upper, folder, "figure_2_upper")
+
+    states: list[Tensor] = []
+    first = {name: p[:1] for name, p in parameters.items()}
+    ((episode,),) = evaluate(policy, first, world, run.seeds[:1], 1, watch=states.append)
+    spec = world.spec
+    index = [q.name for q in spec.state].index(spec.headline)
+    shown = sim.observe(torch.stack(states)[:, 0])[:, index].numpy()
+    quantity = spec.state[index]
+    learned = run.summary["simulated_seconds"][0]
+    text = f"seed {run.seeds[0]}, without exploration, {episode.outcome.name.lower()}"
+    ride = Ride(
+        spec.dt * np.arange(1, len(shown) + 1),
+        shown,
+        quantity.name,
+        quantity.unit,
+        text.replace("_", " "),
+        quantity.period,
+    )
+    lower = one_ride(ride, f"Figure 2, lower: an episode after {learned:,.0f} s of learning")
+    save_figure(lower, folder, "figure_2_lower")
+    return ["figure_2_upper", "figure_2_lower"]
+
+
+def _shortest(world: World) -> float:
+    """Median over starts of the shortest time that they allow."""
+    generator = torch.Generator().manual_seed(0)
+    uniform = torch.rand(STARTS, world.uniforms, dtype=world.dtype, generator=generator)
+    start = world.initial(uniform)
+    measures = world.sim.measures(start, start, torch.zeros(STARTS, dtype=torch.float64))
+    return float(measures["shortest_time_s"].median())

@@ -1,0 +1,94 @@
+"""Policies tried on the way, in fresh episodes that count as no experience of theirs.
+
+What both a learner's run and a rival's need to tell what was paid before the first ride.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from edtorch.records import Episode
+from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoint
+
+SCREENING = 2
+"""Fresh episodes that a policy, unless it rode at its last trial, must end without a fall before it
+is tried in all of them: one that falls in one of these is not stable, and most on the way fall."""
+
+Fresh = Callable[[Sequence[int], int], Sequence[list[Episode]]]
+"""From rows of a population to the first so many fresh episodes of each one's policy of now; the
+first of many are those of few."""
+
+
+@dataclass(frozen=True)
+class Paid:
+    """What one seed has paid until now; seconds: simulated; episodes: ended in any way."""
+
+    seconds: float
+    episodes: int
+    falls: int
+    cpu_s: float
+
+
+def _upright(episodes: Sequence[Episode]) -> bool:
+    return all(e.is_ride for e in episodes)
+
+
+class Trials:
+    """Fresh episodes of the policies of now, and what has come of those before.
+
+    episodes: of each trial; history: the checkpoints of each row, in order; last: the episodes of
+    its last one, only ``SCREENING`` of them where one was a fall; wall_s: taken by all of it.
+    """
+
+    def __init__(self, rows: int, episodes: int, fresh: Fresh) -> None:
+        self._most = episodes
+        self._fresh = fresh
+        self.history: list[list[Checkpoint]] = [[] for _ in range(rows)]
+        self.last: list[list[Episode]] = [[] for _ in range(rows)]
+        self.wall_s = 0.0
+
+    def _episodes(self, rows: Sequence[int], count: int) -> None:
+        if rows:
+            for row, own in zip(rows, self._fresh(rows, count), strict=True):
+                self.last[row] = own
+
+    def run(self, rows: Sequence[int], paid: Callable[[int], Paid]) -> dict[int, Checkpoint]:
+        """Try those of ``rows``; paid: by each until now."""
+        began = time.monotonic()
+        # Who rode the last time will ride again, and one ride takes as long as many side by side.
+        rode = {row for row in rows if self.history[row] and self.history[row][-1].stable}
+        self._episodes([row for row in rows if row not in rode], min(SCREENING, self._most))
+        if self._most > SCREENING:
+            rode |= {row for row in rows if row not in rode and _upright(self.last[row])}
+        self._episodes([row for row in rows if row in rode], self._most)
+        fresh = {row: self.record(row, self.last[row], paid(row)) for row in rows}
+        self.wall_s += time.monotonic() - began
+        return fresh
+
+    def record(self, row: int, episodes: list[Episode], paid: Paid) -> Checkpoint:
+        """A checkpoint of fresh episodes that somebody else has run."""
+        found = checkpoint(
+            episodes,
+            seconds=paid.seconds,
+            falls=paid.falls,
+            paid=paid.episodes,
+            cpu_s=paid.cpu_s,
+        )
+        self.last[row] = episodes
+        self.history[row].append(found)
+        return found
+
+    def complete(self) -> list[list[Episode]]:
+        """All episodes of the last policies, those that were only screened included."""
+        began = time.monotonic()
+        short = [row for row, own in enumerate(self.last) if len(own) < self._most]
+        self._episodes(short, self._most)
+        self.wall_s += time.monotonic() - began
+        return self.last
+
+    def reached(self, milestone: str) -> list[bool]:
+        """Of each row, whether it has been there."""
+        told = MILESTONES[milestone]
+        return [any(getattr(c, told) for c in own) for own in self.history]
