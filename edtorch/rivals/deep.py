@@ -62,11 +62,16 @@ class DeepSettings:
             raise ValueError(f"discount={self.discount}: expected a number in [0, 1]")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"hidden={self.hidden}: expected units of each layer, 1 or more")
-        if importlib.util.find_spec("stable_baselines3") is None:
+        if not is_installed():
             raise ModuleNotFoundError(
                 f"{type(self).__name__} is stable-baselines3's, which is not installed; expected:"
                 ' pip install "edtorch[rivals]"'
             )
+
+
+def is_installed() -> bool:
+    """Whether stable-baselines3 can be imported."""
+    return importlib.util.find_spec("stable_baselines3") is not None
 
 
 def at_least_one(name: str, value: int) -> None:

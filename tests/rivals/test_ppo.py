@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import stable_baselines3
 import torch
 
 from edtorch.rivals.ppo import PPO
@@ -39,9 +40,9 @@ def test_has_the_defaults_of_stable_baselines() -> None:
     search = PPO().begin(linear_problem([0]))
     assert isinstance(search, BaselinesSearch)
     assert tuple(search.parameters["weight_2"].shape) == (1, 64, 64)
-    import stable_baselines3
-
-    model = stable_baselines3.PPO("MlpPolicy", search.models[0].get_env(), device="cpu")
+    envs = search.models[0].env
+    assert envs is not None
+    model = stable_baselines3.PPO("MlpPolicy", envs, device="cpu")
     names = ("gamma", "learning_rate", "batch_size", "n_steps", "n_epochs", "gae_lambda")
     for name in names:
         assert getattr(search.models[0], name) == getattr(model, name), name
@@ -58,4 +59,4 @@ def test_has_the_defaults_of_stable_baselines() -> None:
 )
 def test_refuses(settings: dict[str, int], wanted: str) -> None:
     with pytest.raises(ValueError, match=wanted):
-        PPO(**settings)
+        PPO(**settings)  # pyright: ignore[reportArgumentType]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import stable_baselines3
 import torch
 
 from edtorch.rivals.sac import SAC
@@ -48,9 +49,9 @@ def test_has_the_defaults_of_stable_baselines() -> None:
         "weight_3": (1, 1, 256),
         "bias_3": (1, 1),
     }
-    import stable_baselines3
-
-    model = stable_baselines3.SAC("MlpPolicy", search.models[0].get_env(), device="cpu")
+    envs = search.models[0].env
+    assert envs is not None
+    model = stable_baselines3.SAC("MlpPolicy", envs, device="cpu")
     for name in ("gamma", "learning_rate", "batch_size", "tau", "learning_starts", "buffer_size"):
         assert getattr(search.models[0], name) == getattr(model, name), name
 
@@ -74,6 +75,6 @@ def test_refuses(settings: dict[str, object], wanted: str) -> None:
 
 
 def test_says_how_to_get_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("edtorch.rivals.deep.is_installed", lambda: False)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "edtorch\[rivals\]"'):
         SAC()

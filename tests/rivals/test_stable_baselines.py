@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,6 +29,13 @@ def _envs(problem: Problem, lesson: Lesson, seed: int = 0) -> tuple[WorldEnvs, A
     return WorldEnvs(problem.world, problem.reward, lesson, seed, account), account
 
 
+def _step(
+    envs: WorldEnvs, action: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    envs.step_async(action)
+    return envs.step_wait()
+
+
 def _bicycle(**settings: float) -> World:
     return World(Bicycle(**settings))  # pyright: ignore[reportArgumentType]
 
@@ -46,7 +54,7 @@ def test_rewards_are_the_integral_of_the_shaping_reward() -> None:
     for _ in range(3):
         s = PULL * s + action[:, 0]
         wanted -= (s**2 + COST * action[:, 0] ** 2) * 0.5
-    observation, reward, ended, infos = envs.step(action)
+    observation, reward, ended, infos = _step(envs, action)
     np.testing.assert_allclose(observation[:, 0], s, rtol=1e-6)
     np.testing.assert_allclose(reward, 4.0 * wanted, rtol=1e-6)
     assert not ended.any() and infos == [{}, {}]
@@ -58,8 +66,8 @@ def test_the_time_limit_truncates() -> None:
     envs, account = _envs(linear_problem([0], ticks=6, dt=0.5), Lesson(1, 4, 7.0, 1.0))
     start = envs.reset()
     zero = np.zeros((1, 1), dtype=np.float32)
-    envs.step(zero)
-    observation, _, ended, infos = envs.step(zero)
+    _step(envs, zero)
+    observation, _, ended, infos = _step(envs, zero)
     assert ended.all() and infos[0]["TimeLimit.truncated"]
     np.testing.assert_allclose(infos[0]["terminal_observation"], start[0] * PULL**6, rtol=1e-5)
     assert observation[0, 0] != infos[0]["terminal_observation"][0]
@@ -67,7 +75,7 @@ def test_the_time_limit_truncates() -> None:
 
 
 def test_falls_cost_their_penalty_and_are_counted() -> None:
-    """Torque and displacement to one side: the bicycle falls; by hand, tick by tick."""
+    """Torque and displacement to one side until the bicycle falls; by hand, tick by tick."""
     world = _bicycle()
     reward = _upright(world)
     account = Account()
@@ -75,22 +83,24 @@ def test_falls_cost_their_penalty_and_are_counted() -> None:
     draws = Streams([stream_key(5, Purpose.LEARNING, 0)], world.uniforms, 0)
     state = world.initial(draws.at(0).uniform)
     np.testing.assert_allclose(envs.reset(), world.observe(state).numpy(), rtol=1e-6)
-    action = np.ones((1, 2), dtype=np.float32)
-    scaled = world.clip(torch.ones(1, 2, dtype=torch.float64))
-    for tick in range(1, 1000):
-        state = world.step(state, scaled, draws.at(tick).uniform)
-        found, earned, ended, infos = envs.step(action)
+    action = world.clip(torch.ones(1, 2, dtype=torch.float64))
+    tick, fell = 0, False
+    while not fell:
+        tick += 1
+        state = world.step(state, action, draws.at(tick).uniform)
+        found, earned, ended, infos = _step(envs, np.ones((1, 2), dtype=np.float32))
         fell = int(world.outcome(state, torch.tensor([tick]))) == int(Outcome.FAILED)
-        value = float(reward(world.observe(state), scaled)) * world.dt - 3.0 * fell
+        value = float(reward(world.observe(state), action)) * world.dt - 3.0 * fell
         assert float(earned[0]) == pytest.approx(2.0 * value, rel=1e-5, abs=1e-9)
         assert bool(ended[0]) == fell
         if fell:
-            break
-    assert not infos[0]["TimeLimit.truncated"]
-    final = world.observe(state).numpy()[0]
-    np.testing.assert_allclose(infos[0]["terminal_observation"], final, rtol=1e-5, atol=1e-7)
-    # The next episode has begun: upright, at rest.
-    assert abs(found[0, [q.name for q in world.spec.state].index("lean")]) < 1e-6
+            assert not infos[0]["TimeLimit.truncated"]
+            final = world.observe(state).numpy()[0]
+            np.testing.assert_allclose(
+                infos[0]["terminal_observation"], final, rtol=1e-5, atol=1e-7
+            )
+            # The next episode has begun: upright, at rest.
+            assert np.abs(found[0, :4]).max() == 0
     assert (account.episodes, account.falls, account.rides) == (1, 1, 0)
     assert account.seconds == pytest.approx(tick * 0.01, abs=1e-12)
 
@@ -100,10 +110,8 @@ def test_every_simulated_second_is_paid_once() -> None:
     world = _bicycle()
     envs, account = _envs(_problem(world), Lesson(4, 7, 1.0, 1.0))
     envs.reset()
-    lived = torch.zeros(4)
     for _ in range(40):
-        envs.step(np.ones((4, 2), dtype=np.float32))
-        lived += 1
+        _step(envs, np.ones((4, 2), dtype=np.float32))
     assert account.falls == account.episodes >= 4
     whole = 40 * 7 * 4 * 0.01
     # A fall wastes at most six of the seven ticks of its decision.
@@ -126,8 +134,14 @@ def test_actions_reach_the_bounds() -> None:
     assert [t.tolist() for t in unbounded] == [[0.0], [1.0]]
 
 
-def _states() -> tuple[object, float, float, Tensor]:
-    return random.getstate(), np.random.random(), random.random(), torch.rand(1)
+def _seed_all() -> None:
+    random.seed(1)
+    np.random.seed(1)
+    torch.manual_seed(1)
+
+
+def _draw() -> tuple[float, float, Tensor]:
+    return random.random(), np.random.random(), torch.rand(1)
 
 
 SETTINGS = (
@@ -141,7 +155,7 @@ def test_a_seed_does_the_same_in_any_company(settings: SAC | PPO) -> None:
     """Beside another seed, in smaller pieces, with other people's draws between them."""
     together = settings.begin(linear_problem([3, 4], noise=0.1, ticks=5))
     for going in ([True, False], [True, True]):
-        random.random(), np.random.random(), torch.rand(1)
+        _draw()
         together.advance(going, carry_on)
     alone = settings.begin(linear_problem([3], noise=0.1, ticks=5))
     alone.advance([True], carry_on)
@@ -155,12 +169,12 @@ def test_a_seed_does_the_same_in_any_company(settings: SAC | PPO) -> None:
 
 @pytest.mark.parametrize("settings", SETTINGS, ids=lambda s: type(s).__name__)
 def test_nobody_else_s_numbers_are_touched(settings: SAC | PPO) -> None:
-    random.seed(1), np.random.seed(1), torch.manual_seed(1)
-    wanted = (random.random(), np.random.random(), torch.rand(1))
-    random.seed(1), np.random.seed(1), torch.manual_seed(1)
+    _seed_all()
+    wanted = _draw()
+    _seed_all()
     search = settings.begin(linear_problem([0]))
     search.advance([True], carry_on)
-    assert (random.random(), np.random.random(), torch.rand(1)) == wanted
+    assert _draw() == wanted
 
 
 class _Stop(Exception):
