@@ -23,7 +23,8 @@ class Lesson:
 
 @dataclass(frozen=True)
 class DeepSettings:
-    """steps: decisions between two checkpoints; repeat: ticks that an action is held while it is
+    """steps: decisions before the first checkpoint; growth: each piece of work after that is so
+    many times the one before, from 1 to 10; repeat: ticks that an action is held while it is
     learned from (a policy that is tried decides at every tick); fall_penalty: what a failure costs,
     in the unit of the shaping reward times a second, 0 or more; reward_scale: of all rewards;
     learning_rate, discount (per decision), hidden (units of each hidden layer): those of
@@ -35,12 +36,17 @@ class DeepSettings:
     """
 
     steps: int
+    growth: float = 1.0
     repeat: int = 1
     fall_penalty: float = 0.0
     reward_scale: float = 1.0
     learning_rate: float = 3e-4
     discount: float = 0.99
     hidden: list[int] = field(default_factory=list)
+
+    def piece(self, number: int) -> int:
+        """Decisions of the piece of work with this number, from 0 on."""
+        return round(self.steps * self.growth**number)
 
     def lesson(self, copies: int) -> Lesson:
         """How the world is put to so many copies of an episode."""
@@ -50,6 +56,8 @@ class DeepSettings:
         """Refuse impossible arguments; ModuleNotFoundError without stable-baselines3."""
         for name in ("steps", "repeat"):
             at_least_one(name, getattr(self, name))
+        if not 1 <= self.growth <= 10:
+            raise ValueError(f"growth={self.growth}: expected a number in [1, 10]")
         if not (math.isfinite(self.fall_penalty) and self.fall_penalty >= 0):
             raise ValueError(
                 f"fall_penalty={self.fall_penalty}: expected a finite number, 0 or more"

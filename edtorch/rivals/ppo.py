@@ -22,7 +22,7 @@ BATCH = 64
 @dataclass(frozen=True)
 class PPO(DeepSettings):
     """See ``DeepSettings``; copies: episodes side by side; rollout: decisions of each copy from one
-    update to the next.  ``steps`` is rounded up to whole rollouts."""
+    update to the next.  A piece of work is rounded up to whole rollouts."""
 
     steps: int = 16_384
     hidden: list[int] = field(default_factory=lambda: [64, 64])
@@ -47,7 +47,7 @@ class PPO(DeepSettings):
         return BaselinesSearch(
             problem,
             self.lesson(self.copies),
-            self.steps,
+            self.piece,
             self._model,
             _layers,
             torch.tanh,

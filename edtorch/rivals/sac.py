@@ -29,7 +29,7 @@ class SAC(DeepSettings):
         from edtorch.rivals.stable_baselines import BaselinesSearch
 
         return BaselinesSearch(
-            problem, self.lesson(1), self.steps, self._model, _layers, relu, torch.tanh
+            problem, self.lesson(1), self.piece, self._model, _layers, relu, torch.tanh
         )
 
     def _model(self, envs: VecEnv, seed: int) -> stable_baselines3.SAC:

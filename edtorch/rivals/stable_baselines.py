@@ -218,21 +218,23 @@ class _GlobalRandom:
 class BaselinesSearch:
     """A model of stable-baselines3 for each seed (``edtorch.rivals.base.Search``).
 
-    steps: decisions of each model to a piece of work; make: a model for these episodes and this
-    seed; layers: those of a model's policy, whose activations are ``hidden`` and ``squash``.
+    piece: how many decisions the piece of work with this number has; make: a model for these
+    episodes and this seed; layers: those of a model's policy, whose activations are ``hidden`` and
+    ``squash``.
     """
 
     def __init__(
         self,
         problem: Problem,
         lesson: Lesson,
-        steps: int,
+        piece: Callable[[int], int],
         make: Callable[[VecEnv, int], BaseAlgorithm],
         layers: Callable[[Any], Sequence[nn.Linear]],
         hidden: Callable[[Tensor], Tensor],
         squash: Callable[[Tensor], Tensor],
     ) -> None:
-        self._steps = steps
+        self._piece = piece
+        self._pieces = [0] * len(problem.seeds)
         self._layers = layers
         self.accounts = [Account() for _ in problem.seeds]
         self.models: list[BaseAlgorithm] = []
@@ -264,7 +266,7 @@ class BaselinesSearch:
         return [False] * len(self.models)
 
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
-        """``steps`` decisions of each model that is ``going``, rounded up to whole rollouts."""
+        """The next piece of work of each model that is ``going``, in whole rollouts."""
         last = time.monotonic()
 
         def look(local: dict[str, Any], everywhere: dict[str, Any]) -> bool:
@@ -274,7 +276,9 @@ class BaselinesSearch:
                 pause()
             return True
 
-        for model, numbers, on in zip(self.models, self._random, going, strict=True):
-            if on:
+        for row, (model, numbers) in enumerate(zip(self.models, self._random, strict=True)):
+            if going[row]:
                 with numbers.own():
-                    model.learn(self._steps, callback=look, reset_num_timesteps=False)
+                    steps = self._piece(self._pieces[row])
+                    model.learn(steps, callback=look, reset_num_timesteps=False)
+                self._pieces[row] += 1

@@ -191,3 +191,14 @@ def test_what_a_pause_raises_ends_the_search(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(_Stop):
         search.advance([True], stop)
     assert search.accounts[0].seconds < 120
+
+
+def test_pieces_grow_and_each_seed_counts_its_own() -> None:
+    search = SAC(steps=20, growth=1.5, hidden=[8]).begin(linear_problem([0, 1]))
+    for going, paid in (
+        ([True, True], [20, 20]),
+        ([True, False], [50, 20]),
+        ([True, True], [95, 50]),
+    ):
+        search.advance(going, carry_on)
+        assert [account.seconds for account in search.accounts] == paid
