@@ -14,6 +14,9 @@ from typing import Any, get_type_hints
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from edtorch.rivals.ppo import PPO
+from edtorch.rivals.sac import SAC
+
 
 @dataclass
 class FunctionConfig:
@@ -453,7 +456,10 @@ def _default(setting: Field[Any]) -> Any:
     return field(default=MISSING if setting.default is DATACLASS_MISSING else setting.default)
 
 
-RIVALS: dict[str, type] = {}
+RIVALS: dict[str, type] = {
+    "ppo": PPO,
+    "sac": SAC,
+}
 """Rivals with a search per seed: their options in ``conf/rival/``, and their settings."""
 
 
