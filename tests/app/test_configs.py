@@ -29,8 +29,9 @@ from sims.bicycle import Bicycle
 
 ROOT = Path(str(conf.__file__)).parent
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "experiment").glob("*.yaml"))
-# The others are a rival's: see test_rival.
-LEARNING = [name for name in EXPERIMENTS if name != "footnote1"]
+# The others are a rival's, or learn from files: see test_rival, test_offline.
+ELSEWHERE = {"footnote1", "bicycle_random_falls", "bicycle_offline"}
+LEARNING = [name for name in EXPERIMENTS if name not in ELSEWHERE]
 OPTIONS = sorted(
     (path.parent.name, path.stem)
     for path in ROOT.glob("*/*.yaml")
@@ -50,6 +51,7 @@ BESIDE = {
         "+reward.state.state_0=1",
     ],
     ("reward", "quadratic"): ["+reward.state.lean=1"],
+    ("offline", "recorded"): ["offline.data=transitions.npz"],
 }
 
 
