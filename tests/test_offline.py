@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace as with_fields
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from edtorch.offline import Lessons, Offline, learn
 from edtorch.policies import LinearPolicy
 from edtorch.records import Budget
 from edtorch.rewards import QuadraticReward
+from edtorch.schedule import Schedule
 from edtorch.transform import FirstOrder
 from edtorch.transitions import Recorded
 from edtorch.types import LearnerState, Transition
@@ -27,7 +29,7 @@ from edtorch.world import World
 from sims.base import Outcome
 from sims.bicycle import Bicycle
 from sims.linear import LinearSystem
-from tests.recorded import NEVER, F, G, Q, R, linear_learner, linear_world, lived
+from tests.recorded import F, G, Q, R, linear_learner, linear_world, lived
 from tests.systems import bicycle_learner, f64
 
 ALL = Budget(seconds=1e9)
@@ -87,7 +89,7 @@ def test_the_gradient_climbs_to_the_top() -> None:
 
 def test_it_is_learner_step_fed_with_the_rows() -> None:
     """To the last digit, learner by learner, whatever the others' lengths, improving or not."""
-    for schedule in (None, NEVER.__class__(first=5, every=3)):
+    for schedule in (None, Schedule(first=5, every=3)):
         learner = linear_learner()
         budgets = {3: Budget(seconds=60.0), 4: Budget(episodes=3), 5: Budget(seconds=11.0)}
         for row, (seed, budget) in enumerate(budgets.items()):
@@ -283,6 +285,7 @@ def test_what_cannot_be_learned_from_is_refused() -> None:
         begin(Lessons(), [3], nameless)
     with pytest.raises(ValueError, match=r"seed 3 has 60 transitions and none to learn from"):
         begin(Lessons(), [3], with_fields(DATA, valid=np.zeros(len(DATA), dtype=bool)))
-    for wrong in ({"share": "some"}, {"order": "backwards"}, {"passes": 0}):
+    wrongs: tuple[dict[str, Any], ...] = ({"share": "some"}, {"order": "backwards"}, {"passes": 0})
+    for wrong in wrongs:
         with pytest.raises(ValueError, match=f"{next(iter(wrong))}="):
             Lessons(**wrong)

@@ -86,7 +86,8 @@ def test_a_file_of_somebody_else_s(tmp_path: Path) -> None:
     assert found.seed.tolist() == [-1] * 3 and found.terminated.tolist() == [False, False, True]
     meta["state"][0]["scale"] = 1.5
     with np.load(path) as file:
-        arrays = {name: file[name] for name in file.files} | {"meta": np.array(json.dumps(meta))}
+        arrays: dict[str, Any] = {name: file[name] for name in file.files}
+    arrays["meta"] = np.array(json.dumps(meta))
     np.savez(path, **arrays)
     with pytest.raises(FileProblem, match=r"angle_to_goal is scaled by 1\.5, expected 3\.14159"):
         load_transitions(path, spec)

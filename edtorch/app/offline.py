@@ -230,6 +230,13 @@ def _summary(job: OfflineSetup, evaluation: Evaluation, timing: Timing) -> dict[
         FirstRide(any(e.is_ride for e in rides), paid, seconds, 0)
         for rides, paid, seconds in zip(episodes, falls, offline.experience, strict=True)
     ]
+    figures: dict[str, list[int]] = {
+        "episodes": [len(each) for each in own],
+        "falls": falls,
+        "transitions_used": offline.used,
+        "transitions_left_out": offline.unused,
+        "steps": offline.steps.tolist(),
+    }
     world = job.setup.world
     reached = {}
     if world.spec.goal and any(episodes):
@@ -240,11 +247,7 @@ def _summary(job: OfflineSetup, evaluation: Evaluation, timing: Timing) -> dict[
         **evaluation_figures(episodes),
         **reached,
         "offline": {
-            "episodes": Spread([len(each) for each in own]).as_json(),
-            "falls": Spread(falls).as_json(),
-            "transitions_used": Spread(offline.used).as_json(),
-            "transitions_left_out": Spread(offline.unused).as_json(),
-            "steps": Spread(offline.steps.tolist()).as_json(),
+            **{name: Spread([*counts]).as_json() for name, counts in figures.items()},
             "masked": job.masked,
         },
         "simulated_seconds": offline.experience,
