@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from edtorch.learner import AnyLearner
+from edtorch.recorder import Recorder
 from edtorch.records import Budget, Episode, Snapshot
 from edtorch.schedule import ALWAYS, Schedule
 from edtorch.streams import Streams, learning_streams
@@ -76,11 +77,21 @@ class Stage(Protocol):
 
 
 class Eager:
-    """Tick by tick, each operation by itself: for any learner and any world."""
+    """Tick by tick, each operation by itself: for any learner and any world.
 
-    def __init__(self, tick: Tick, population: Population, streams: Streams) -> None:
+    recorder: is shown every tick, None: nobody is.
+    """
+
+    def __init__(
+        self,
+        tick: Tick,
+        population: Population,
+        streams: Streams,
+        recorder: Recorder | None = None,
+    ) -> None:
         self._tick = tick
         self._streams = streams
+        self._recorder = recorder
         self._everybody = slice(0, len(population.worlds.active))
         self.population = population
 
@@ -100,6 +111,8 @@ class Eager:
             before = self.population.worlds
             improve = self._tick.schedule.improves(now)
             here, outcome = self._tick.live(self.population, draw, now, improve=improve)
+            if self._recorder is not None:
+                self._recorder.add(self.population, draw, here, outcome)
             world = here.worlds.world
             ended = bool(outcome.any())
             if ended:
@@ -127,7 +140,8 @@ class Training:
 
     seeds: one per learner; learner k draws from the stream of its seed alone, so that it does the
     same in any population.  ``advance`` runs ticks; ``learners``, ``worlds`` and ``clock`` are the
-    whole state (``edtorch.checkpoint`` saves them).
+    whole state (``edtorch.checkpoint`` saves them).  recorder: keeps every transition, as long as
+    ``stage`` is the one of the beginning.
     """
 
     def __init__(
@@ -138,6 +152,7 @@ class Training:
         budget: Budget,
         trail_stride: int = 10,
         schedule: Schedule = ALWAYS,
+        recorder: Recorder | None = None,
     ) -> None:
         self.learner = learner
         self.world = world
@@ -148,7 +163,7 @@ class Training:
         self.tick = Tick(learner, world, budget.episodes, budget.rides, schedule)
         streams = learning_streams(world, self.seeds)
         first = self.tick.first(learner.initial(self.seeds), streams.at(0))
-        self.stage: Stage = Eager(self.tick, first, streams)
+        self.stage: Stage = Eager(self.tick, first, streams, recorder)
         watched = first.worlds.world[:WATCHED]
         self.trail = Trail(watched, trail_stride, world.limit_ticks // trail_stride + 2)
         self.trail.append(watched, first.worlds.active[:WATCHED])

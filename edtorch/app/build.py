@@ -20,7 +20,14 @@ from edtorch.app.command import (
     needs_noise,
     variant,
 )
-from edtorch.app.compute import Compute, check_memory, plan, plan_inverse, uncompiled
+from edtorch.app.compute import (
+    Compute,
+    check_memory,
+    check_recording,
+    plan,
+    plan_inverse,
+    uncompiled,
+)
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under, unknown_key
 from edtorch.app.inverse import (
@@ -407,9 +414,18 @@ def build(config: DictConfig) -> Setup:
             " train.seconds, train.episodes or train.rides"
         )
     sim = build_sim(config.domain)
+    if config.log.transitions:
+        check_recording(budget, World(sim), config.seeds)
     if has_inverse(config):
         return _assemble(config, sim, budget, plan_inverse(config.compute, budget, World(sim)))
     compute = plan(config.compute, budget, World(sim), config.seeds)
+    if config.log.transitions:
+        if compute.required:
+            raise ConfigError(
+                "log.transitions=true: expected compute.compile=auto or off; a compiled tick does"
+                " not say what happened in it"
+            )
+        compute = uncompiled(compute, config.compute)
     setup = _assemble(config, sim, budget, compute)
     if compute.compiled and setup.compiled is None:
         if compute.required:

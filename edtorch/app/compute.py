@@ -14,6 +14,7 @@ from edtorch.compilation import CannotCompile, Wish, check_compiler
 from edtorch.filtering import JointFilter
 from edtorch.inverse.learner import InverseLearner
 from edtorch.learner import AnyLearner, Learner
+from edtorch.recorder import kept_bytes
 from edtorch.records import Budget
 from edtorch.streams import BLOCK
 from edtorch.world import World
@@ -156,13 +157,28 @@ def check_memory(learner: AnyLearner, world: World, learners: int) -> None:
     else:
         assert isinstance(learner, Learner)
         needed = needed_bytes(learner, world, learners)
-    device = world.device
-    if device.type == "cuda":
-        free, _ = torch.cuda.mem_get_info(device)
-    else:
-        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    free = free_bytes(world.device)
     if needed > free:
         raise ConfigError(
             f"seeds={learners}: takes about {needed / 2**30:.1f} GiB of memory,"
             f" {free / 2**30:.1f} are free; expected fewer, or several runs (-m seed=0,100000,...)"
+        )
+
+
+def free_bytes(device: torch.device) -> int:
+    """Memory that nobody uses."""
+    if device.type == "cuda":
+        return torch.cuda.mem_get_info(device)[0]
+    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def check_recording(budget: Budget, world: World, learners: int) -> None:
+    """Refuse to keep more transitions than half of the free memory holds; ConfigError."""
+    ticks = expected_ticks(budget, world)
+    needed, free = kept_bytes(world, learners, ticks), free_bytes(torch.device("cpu"))
+    if needed > free / 2:
+        raise ConfigError(
+            f"log.transitions=true: {learners} learners of up to {ticks * world.dt:.0f} s each take"
+            f" about {needed / 2**30:.1f} GiB of memory, {free / 2**30:.1f} are free, of which half"
+            " may be used; expected fewer seeds, or less in train.seconds"
         )

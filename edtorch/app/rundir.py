@@ -29,6 +29,7 @@ POLICY = "policy.safetensors"
 CHECKPOINT = "checkpoint.pt"
 ABOUT = "run.json"
 SUMMARY = "summary.json"
+TRANSITIONS = "transitions.npz"
 PACKAGES = ("edtorch", "torch", "numpy", "hydra-core", "gymnasium", "tensorboard", "matplotlib")
 
 

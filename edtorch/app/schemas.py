@@ -464,6 +464,33 @@ RIVALS: dict[str, type] = {
 
 
 @dataclass
+class NoOfflineConfig:
+    """Learners live through their own experience."""
+
+    variant: str = "none"
+
+
+@dataclass
+class RecordedConfig:
+    """variant: recorded; data: a file, a run's folder, or a list of them; share, order, passes,
+    within: see ``edtorch.offline.Lessons``, within by name; invalid: refuse or mask, see
+    ``edtorch.transitions``; improve: whether policies are improved while the transitions pass, as
+    the group schedule says; steps: improvements after that, at most; tolerance: share of a policy
+    that its last step is smaller than."""
+
+    variant: str = MISSING
+    data: Any = MISSING
+    share: str = "own"
+    order: str = "recorded"
+    passes: int = 1
+    within: dict[str, float] = field(default_factory=dict)
+    invalid: str = "refuse"
+    improve: bool = False
+    steps: int = 1000
+    tolerance: float = 1e-6
+
+
+@dataclass
 class BudgetConfig:
     """Per learner, whichever ends first; null: unlimited.  until: of a rival, the milestone at
     which a seed is done as well, stable or goal (``edtorch.report.milestones``)."""
@@ -502,10 +529,12 @@ class ComputeConfig:
 @dataclass
 class LogConfig:
     """every: simulated seconds between two rows; checkpoint: between two saves of everything;
-    value_error: whether the rows have the value error estimate."""
+    value_error: whether the rows have the value error estimate; transitions: whether every one is
+    kept, for ``transitions.npz``."""
 
     every: int = 5
     value_error: bool = False
+    transitions: bool = False
     checkpoint: int = 500
     tensorboard: bool = True
     figures: bool = True
@@ -531,6 +560,7 @@ class TrainConfig:
     command: Any = None  # as in the runs of before there was such a group: free
     step: Any = MISSING
     rival: Any = None  # as in the runs of before there was such a group: none
+    offline: Any = None  # as in the runs of before there was such a group: none
     train: BudgetConfig = field(default_factory=BudgetConfig)
     eval: EvalConfig = field(default_factory=EvalConfig)
     compute: ComputeConfig = field(default_factory=ComputeConfig)
@@ -604,6 +634,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "ramp_schema": RampConfig,
         "safe_schema": SafeConfig,
     },
+    "offline": {"none_schema": NoOfflineConfig, "recorded_schema": RecordedConfig},
     "rival": {
         "rival_schema": RivalConfig,
         "random_search_schema": RandomSearchConfig,

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.table import Table
+from torch import Tensor
 
 from edtorch.app.evaluations import Evaluations
 from edtorch.app.rundir import command_line, versions
 from edtorch.interact import Training
 from edtorch.learner import Check
 from edtorch.report.statistics import evaluation_figures, learning_figures
+from edtorch.types import LearnerState
 
 
 @dataclass
@@ -37,7 +39,23 @@ class Timing:
         return self.ticks / max(self.cpu_s, 1e-9)
 
 
-def broken(training: Training) -> dict[int, tuple[str, int]]:
+class Learned(Protocol):
+    """Learners that have learned, however they came by their experience."""
+
+    seeds: list[int]
+
+    @property
+    def learners(self) -> LearnerState:
+        """What they know."""
+        ...
+
+    @property
+    def finite(self) -> Tensor:
+        """``[3, B]``: see ``edtorch.learner.Check``."""
+        ...
+
+
+def broken(training: Learned) -> dict[int, tuple[str, int]]:
     """Learners whose numbers were not finite somewhere: the first place, the first tick."""
     rows = (~training.finite).any(0).nonzero().flatten().tolist()
     sound_ticks = training.learners.sound_ticks.tolist()

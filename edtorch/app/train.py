@@ -25,10 +25,20 @@ from edtorch.app.build import Setup, build
 from edtorch.app.errors import ConfigError, guarded, refusing
 from edtorch.app.evaluations import Evaluations, News
 from edtorch.app.folders import remove_empty
+from edtorch.app.offline import build_offline, is_offline, run_offline
 from edtorch.app.pictures import draw, draw_reaching
 from edtorch.app.rival import build_search, is_rival, is_search, run_search
 from edtorch.app.rivals import build_rival, run_rival
-from edtorch.app.rundir import CHECKPOINT, POLICY, SUMMARY, RunFolder, json_text
+from edtorch.app.rundir import (
+    CHECKPOINT,
+    POLICY,
+    SUMMARY,
+    TRANSITIONS,
+    RunFolder,
+    command_line,
+    json_text,
+    versions,
+)
 from edtorch.app.signals import Interrupted, Stop
 from edtorch.app.summary import (
     Timing,
@@ -43,7 +53,9 @@ from edtorch.compilation import CannotCompile
 from edtorch.interact import Training
 from edtorch.learner import Learner
 from edtorch.log import ConsoleSink, CsvSink, Sink, StderrHandler, TensorBoardSink
+from edtorch.recorder import Recorder
 from edtorch.tiles import Tiles
+from edtorch.transitions import gathered, save_transitions
 from edtorch.trouble import CovarianceFloored
 
 logger = logging.getLogger("edtorch")
@@ -68,6 +80,7 @@ class _Job:
     stop: Stop
     console: Console
     began: float
+    recorder: Recorder | None = None
 
     @property
     def path(self) -> Path:
@@ -191,8 +204,19 @@ def _learn_and_save(
             timing.ticks = int(training.learners.tick.sum())
             save_training(job.path / CHECKPOINT, training)
             save_policy(job.path / POLICY, evaluations.to_save(training), job.setup.card)
+            _save_transitions(job)
     if job.stop.asked:
         raise KeyboardInterrupt
+
+
+def _save_transitions(job: _Job) -> None:
+    if job.recorder is None:
+        return
+    seeds, world = job.setup.seeds, job.setup.world
+    lives = [job.recorder.lived(row) for row in range(len(seeds))]
+    about = {"command": command_line(), "versions": versions()}
+    recorded = gathered(lives, seeds, world.dt)
+    save_transitions(job.path / TRANSITIONS, recorded, world.spec, about)
 
 
 @contextlib.contextmanager
@@ -226,8 +250,17 @@ def _train(job: _Job) -> dict[str, Any]:
     """Learn, evaluate, write everything; returns the content of ``summary.json``."""
     setup, config, console = job.setup, job.config, job.console
     stride = max(1, setup.world.limit_ticks // 10_000)
+    if config.log.transitions:
+        job.recorder = Recorder(setup.learner, setup.world, len(setup.seeds))
+        logger.info("every transition is kept, and the tick is not compiled for it")
     training = Training(
-        setup.learner, setup.world, setup.seeds, setup.budget, stride, setup.schedule
+        setup.learner,
+        setup.world,
+        setup.seeds,
+        setup.budget,
+        stride,
+        setup.schedule,
+        job.recorder,
     )
     title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
     precision = "float64" if setup.world.dtype == torch.float64 else "mixed precision"
@@ -302,6 +335,12 @@ def _work(
     config: DictConfig, folder: RunFolder, stop: Stop, began: float
 ) -> tuple[list[int], Callable[[], dict[str, Any]]]:
     """The seeds, and what there is to do: learn, or whatever a rival does instead."""
+    if is_offline(config):
+        offline = build_offline(config)
+        seeds = offline.setup.seeds
+        return seeds, lambda: run_offline(offline, config, folder.path, stop, Console(), began)
+    if is_rival(config) and config.log.transitions:
+        raise ConfigError("log.transitions=true: expected false with a rival, which keeps none")
     if is_rival(config) and not is_search(config):
         rival = build_rival(config)
         return rival.seeds, lambda: run_rival(rival, config, folder.path, stop, Console())

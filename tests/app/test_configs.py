@@ -37,8 +37,9 @@ RIVALS = {
     "cardea_ppo": ["rival.steps=64", "rival.rollout=8", "rival.hidden=[8]"],
     "cardea_sac": ["rival.steps=110", "rival.hidden=[8]"],
 }
-# The others are a rival's: see test_rival.
-LEARNING = [name for name in EXPERIMENTS if name not in {"footnote1", *RIVALS}]
+# Elsewhere: random search (test_rival), and what makes or needs files (test_offline).
+ELSEWHERE = {"footnote1", "bicycle_random_falls", "bicycle_offline", *RIVALS}
+LEARNING = [name for name in EXPERIMENTS if name not in ELSEWHERE]
 OPTIONS = sorted(
     (path.parent.name, path.stem)
     for path in ROOT.glob("*/*.yaml")
@@ -58,6 +59,7 @@ BESIDE = {
         "+reward.state.state_0=1",
     ],
     ("reward", "quadratic"): ["+reward.state.lean=1"],
+    ("offline", "recorded"): ["offline.data=transitions.npz"],
 }
 
 
