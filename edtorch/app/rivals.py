@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,15 +30,19 @@ from edtorch.app.summary import summary_table
 from edtorch.checkpoint import PolicyCard, save_policy, write_text
 from edtorch.evaluation import evaluate
 from edtorch.log import median
+from edtorch.policies import LinearPolicy
 from edtorch.records import Budget, Episode
 from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoint, milestones
 from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
 from edtorch.rivals.base import Problem, Rival, Search
+from edtorch.rivals.runs import Runs, can_try, fresh_episodes
 from edtorch.world import World
 
 SCREENING = 2
 """Fresh episodes that a policy must end without a fall before it is tried in all of them: one that
 falls in one of these is not stable, and most of what a rival tries falls."""
+SLOTS = 1024
+"""Of fresh episodes at a time, at most."""
 SECONDS_BETWEEN_LINES = 10.0
 COLUMNS = ("simulated_seconds", "episodes", "falls", "rides", "cpu_s", "fall_rate", "goal_rate")
 
@@ -146,19 +150,30 @@ class _Report:
 class _Trials:
     """Fresh episodes of the policies of now, and what has come of those before."""
 
-    def __init__(self, setup: RivalSetup, search: Search) -> None:
+    def __init__(self, setup: RivalSetup, search: Search, pause: Callable[[], None]) -> None:
+        """pause: as of ``Search.advance``."""
         self._setup = setup
         self._search = search
+        self._pause = pause
         self.history: list[list[Checkpoint]] = [[] for _ in setup.seeds]
         self.last: list[list[Episode]] = [[] for _ in setup.seeds]
         self.wall_s = 0.0
+        self._runs: Runs | None = None
 
     def _episodes(self, rows: Sequence[int], count: int) -> None:
         if not rows:
             return
         picked = {k: p[list(rows)] for k, p in self._search.parameters.items()}
         seeds = [self._setup.seeds[row] for row in rows]
-        found = evaluate(self._search.actor, picked, self._setup.calm, seeds, count)
+        actor, calm = self._search.actor, self._setup.calm
+        if type(actor) is LinearPolicy and set(picked) == {"weight"} and can_try(calm):
+            if self._runs is None:
+                slots = min(SLOTS, len(self._setup.seeds) * self._setup.episodes)
+                self._runs = Runs(calm, actor, slots=slots, wish=self._setup.problem.compile)
+            runs, weight = self._runs, picked["weight"]
+            found = fresh_episodes(runs, calm, weight, seeds, count, self._pause)
+        else:
+            found = evaluate(actor, picked, calm, seeds, count)
         for row, own in zip(rows, found, strict=True):
             self.last[row] = own
 
@@ -281,8 +296,8 @@ def run_rival(
     title = f"{setup.problem.world.spec.name}, {setup.name}, {len(setup.seeds)} seeds"
     with under("rival"):
         search = setup.rival.begin(setup.problem)
-    trials = _Trials(setup, search)
     report = _Report(setup, config, folder, stop, console)
+    trials = _Trials(setup, search, report.pause)
     began = time.monotonic()
     try:
         cpu_s = _search(setup, search, trials, report)

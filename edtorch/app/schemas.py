@@ -14,6 +14,11 @@ from typing import Any, get_type_hints
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from edtorch.rivals.adaptive_lqr import AdaptiveLqr
+from edtorch.rivals.lqr import Lqr
+from edtorch.rivals.pegasus import Pegasus
+from edtorch.rivals.reinforce import Reinforce
+
 
 @dataclass
 class FunctionConfig:
@@ -437,7 +442,12 @@ def _default(setting: Field[Any]) -> Any:
     return field(default=MISSING if setting.default is DATACLASS_MISSING else setting.default)
 
 
-RIVALS: dict[str, type] = {}
+RIVALS: dict[str, type] = {
+    "adaptive_lqr": AdaptiveLqr,
+    "lqr": Lqr,
+    "pegasus": Pegasus,
+    "reinforce": Reinforce,
+}
 """Rivals with a search per seed: their options in ``conf/rival/``, and their settings."""
 
 
