@@ -11,6 +11,7 @@ int64.
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 
 import torch
@@ -25,6 +26,8 @@ class Use(IntEnum):
 
     WEIGHTS = 1
     EPISODE = 2
+    SCENARIO = 3
+    FRESH = 4
 
 
 def mix(word: Tensor) -> Tensor:
@@ -63,3 +66,13 @@ def uniform(key: Tensor, counter: Tensor, count: int) -> Tensor:
     if not numbers:
         return torch.empty((*counter.shape, 0), dtype=torch.float64, device=counter.device)
     return torch.stack(numbers).movedim(0, -1)
+
+
+def normals(uniforms: Tensor) -> Tensor:
+    """As many standard normal numbers ``[*batch, 2 k]`` as there are uniforms, independent if they
+    are (Box and Muller, "A note on the generation of random normal deviates", 1958)."""
+    first, second = uniforms.chunk(2, dim=-1)
+    # 1 - u is above 0.
+    radius = (-2 * torch.log1p(-first)).sqrt()
+    angle = 2 * math.pi * second
+    return torch.cat((radius * angle.cos(), radius * angle.sin()), dim=-1)

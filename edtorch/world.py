@@ -62,6 +62,11 @@ class World:
         """Uniform numbers that a tick consumes: the disturbances, then those of a restart."""
         return self.spec.disturbance_dim + self.spec.reset_dim
 
+    @property
+    def unwraps(self) -> bool:
+        """Whether angles are counted on, so that an observation needs the one before."""
+        return self._farthest is not None
+
     def initial(self, uniform: Tensor) -> Tensor:
         """Start states of the sim, ``[B, k]``, from a tick's uniforms ``[B, u]``."""
         return self.sim.initial(uniform[..., self.spec.disturbance_dim :].to(torch.float64))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,12 +32,16 @@ from edtorch.app.trials import Paid, Trials
 from edtorch.checkpoint import PolicyCard, save_policy, write_text
 from edtorch.evaluation import evaluate
 from edtorch.log import median
+from edtorch.policies import LinearPolicy
 from edtorch.records import Budget, Episode
 from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoints, milestones
 from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
 from edtorch.rivals.base import Problem, Rival, Search
+from edtorch.rivals.runs import Runs, can_try, fresh_episodes
 from edtorch.world import World
 
+SLOTS = 1024
+"""Of fresh episodes at a time, at most."""
 SECONDS_BETWEEN_LINES = 10.0
 COLUMNS = ("simulated_seconds", "episodes", "falls", "rides", "cpu_s", "fall_rate", "goal_rate")
 
@@ -142,13 +146,27 @@ class _Report:
             self._board.close()
 
 
-def _trials(setup: RivalSetup, search: Search) -> Trials:
-    def fresh(rows: Sequence[int], count: int) -> list[list[Episode]]:
-        picked = {k: p[list(rows)] for k, p in search.parameters.items()}
-        seeds = [setup.seeds[row] for row in rows]
-        return evaluate(search.actor, picked, setup.calm, seeds, count)
+class _Fresh:
+    """Fresh episodes of the policies of now; those of plain linear ones in a compiled tile."""
 
-    return Trials(len(setup.seeds), setup.episodes, fresh)
+    def __init__(self, setup: RivalSetup, search: Search, pause: Callable[[], None]) -> None:
+        """pause: as of ``Search.advance``."""
+        self._setup = setup
+        self._search = search
+        self._pause = pause
+        self._runs: Runs | None = None
+
+    def __call__(self, rows: Sequence[int], count: int) -> list[list[Episode]]:
+        """``count`` of each of ``rows``."""
+        picked = {k: p[list(rows)] for k, p in self._search.parameters.items()}
+        seeds = [self._setup.seeds[row] for row in rows]
+        actor, calm = self._search.actor, self._setup.calm
+        if not (type(actor) is LinearPolicy and set(picked) == {"weight"} and can_try(calm)):
+            return evaluate(actor, picked, calm, seeds, count)
+        if self._runs is None:
+            slots = min(SLOTS, len(self._setup.seeds) * self._setup.episodes)
+            self._runs = Runs(calm, actor, slots=slots, wish=self._setup.problem.compile)
+        return fresh_episodes(self._runs, calm, picked["weight"], seeds, count, self._pause)
 
 
 def _paid(search: Search, cpu_s: Sequence[float], row: int) -> Paid:
@@ -228,8 +246,9 @@ def run_rival(
     title = f"{setup.problem.world.spec.name}, {setup.name}, {len(setup.seeds)} seeds"
     with under("rival"):
         search = setup.rival.begin(setup.problem)
-    trials = _trials(setup, search)
     report = _Report(setup, config, folder, stop, console)
+    fresh = _Fresh(setup, search, report.pause)
+    trials = Trials(len(setup.seeds), setup.episodes, fresh)
     began = time.monotonic()
     try:
         cpu_s = _search(setup, search, trials, report)

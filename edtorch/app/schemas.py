@@ -14,7 +14,11 @@ from typing import Any, get_type_hints
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from edtorch.rivals.adaptive_lqr import AdaptiveLqr
+from edtorch.rivals.lqr import Lqr
+from edtorch.rivals.pegasus import Pegasus
 from edtorch.rivals.ppo import PPO
+from edtorch.rivals.reinforce import Reinforce
 from edtorch.rivals.sac import SAC
 
 
@@ -459,6 +463,10 @@ def _default(setting: Field[Any]) -> Any:
 RIVALS: dict[str, type] = {
     "ppo": PPO,
     "sac": SAC,
+    "adaptive_lqr": AdaptiveLqr,
+    "lqr": Lqr,
+    "pegasus": Pegasus,
+    "reinforce": Reinforce,
 }
 """Rivals with a search per seed: their options in ``conf/rival/``, and their settings."""
 

@@ -58,6 +58,18 @@ def finite_horizon_lqr(
     return Regulator(torch.stack(gains), P, torch.stack(costs))
 
 
+def _doubled(A: Tensor, W: Tensor, H: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """(A, W, H) of twice the horizon, and what H has grown by; see ``stationary_lqr``.
+
+    Never raises: what cannot be inverted comes back as numbers that are not finite.
+    """
+    eye = torch.eye(H.shape[-1], dtype=H.dtype, device=H.device)
+    inverse = torch.linalg.inv_ex(eye + W @ H).inverse
+    growth = A.mT @ H @ inverse @ A
+    W = W + A @ inverse @ W @ A.mT
+    return A @ inverse @ A, W, 0.5 * (growth + growth.mT)
+
+
 def stationary_lqr(
     F: Tensor, G: Tensor, Q: Tensor, R: Tensor, *, discount: float = 1.0, tolerance: float = 1e-13
 ) -> tuple[Tensor, Tensor]:
@@ -70,18 +82,29 @@ def stationary_lqr(
     A, H = scale * F, Q.expand(F.shape)
     B = scale * G
     W = B @ torch.linalg.solve(R, B.mT)
-    eye = torch.eye(F.shape[-1], dtype=F.dtype, device=F.device)
     for _ in range(60):
-        inverse = torch.linalg.inv(eye + W @ H)
-        step = A.mT @ H @ inverse @ A
-        W = W + A @ inverse @ W @ A.mT
-        A = A @ inverse @ A
-        H = H + 0.5 * (step + step.mT)
+        A, W, growth = _doubled(A, W, H)
+        H = H + growth
         if not bool(H.isfinite().all()):
             break
-        if bool((step.abs().amax((-1, -2)) <= tolerance * H.abs().amax((-1, -2))).all()):
+        if bool((growth.abs().amax((-1, -2)) <= tolerance * H.abs().amax((-1, -2))).all()):
             return _gain(F, G, R, H, discount), H
     raise NotConverged("no stationary regulator: the system cannot be stabilised by its actions")
+
+
+def doubled_lqr(F: Tensor, G: Tensor, Q: Tensor, R: Tensor, *, doublings: int) -> Tensor:
+    """Gain theta ``[*batch, m, n]`` of the first of 2^doublings steps.
+
+    As ``stationary_lqr``, without a look at any number on the way: systems that cannot be
+    stabilised have such a gain as well, and where it is beyond float64 it comes back not finite.
+    """
+    A, H = F, Q.expand(F.shape)
+    W = G @ torch.linalg.solve(R, G.mT)
+    for _ in range(doublings):
+        A, W, growth = _doubled(A, W, H)
+        H = H + growth
+    pull = G.mT @ H
+    return -torch.linalg.solve_ex(R + pull @ G, pull @ F).result
 
 
 def stationary_covariance(A: Tensor, noise: Tensor, *, tolerance: float = 1e-14) -> Tensor:

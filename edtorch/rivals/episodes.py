@@ -10,14 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
 from torch._higher_order_ops.scan import scan
 
 from edtorch.compilation import Wish, compiled
-from edtorch.hashing import uniform
-from edtorch.policies import LinearPolicy
+from edtorch.hashing import normals, uniform
+from edtorch.policies import LinearPolicy, explore
 from edtorch.types import select
 from edtorch.world import World
 from sims.base import Outcome
@@ -25,25 +26,84 @@ from sims.base import Outcome
 IDLE = int(Outcome.TIMED_OUT)
 """How an empty slot looks to the tick: like any episode that is over, it stays as it is."""
 
-Advance = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
-"""(state ``[S, k]``, weight ``[S, m, n]``, key ``[S, 2]``, ticks ``[S]``, outcome ``[S]``) to
-(state, ticks, outcome) some ticks later.  An episode that is over stays as it ended."""
+Advance = Callable[..., tuple[Tensor, ...]]
+"""(state ``[S, k]``, weight ``[S, m, n]``, key ``[S, 2]``, ticks ``[S]``, outcome ``[S]``, sums...)
+to (state, ticks, outcome, sums...) some ticks later.  An episode that is over stays as it ended."""
 
 
-def one_tick(world: World, policy: LinearPolicy) -> Advance:
-    """All slots, one tick on."""
+@dataclass(frozen=True)
+class Moment:
+    """One tick of S episodes, for a ``Tally``.
+
+    ticks ``[S]`` before it; observation ``[S, n]``, and the action ``[S, m]`` that was applied
+    there, scaled; normal ``[S, m]``: the standard normal numbers it explored with, zero without.
+    """
+
+    ticks: Tensor
+    observation: Tensor
+    action: Tensor
+    normal: Tensor
+
+
+class Tally(Protocol):
+    """What is added up over an episode beside its outcome; and how it explores."""
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of what is added to each action, scaled; 0: nothing."""
+        ...
+
+    def begin(self, slots: int) -> tuple[Tensor, ...]:
+        """The sums of episodes that begin, zeros, each ``[slots, ...]``."""
+        ...
+
+    def add(self, sums: tuple[Tensor, ...], moment: Moment) -> tuple[Tensor, ...]:
+        """The sums one tick later: a function of tensors alone, which can be compiled."""
+        ...
+
+
+def one_tick(
+    world: World, policy: LinearPolicy, tally: Tally | None = None, limit: int | None = None
+) -> Advance:
+    """All slots, one tick on.  limit: ticks after which an episode is cut off, as if out of time;
+    None: only the world's own time limit."""
+    actions = policy.weight.shape[0]
+    explores = tally is not None and tally.deviation > 0
+    # Normal numbers come in pairs.
+    drawn = world.uniforms + (2 * ((actions + 1) // 2) if explores else 0)
 
     def tick(
-        state: Tensor, weight: Tensor, key: Tensor, ticks: Tensor, outcome: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
+        state: Tensor,
+        weight: Tensor,
+        key: Tensor,
+        ticks: Tensor,
+        outcome: Tensor,
+        *sums: Tensor,
+    ) -> tuple[Tensor, ...]:
         running = outcome == int(Outcome.RUNNING)
         later = ticks + 1
-        action = world.clip(policy.action({"weight": weight}, world.observe(state)))
-        moved = world.step(state, action, uniform(key, later, world.uniforms))
+        numbers = uniform(key, later, drawn)
+        observation = world.observe(state)
+        action = policy.action({"weight": weight}, observation)
+        normal = torch.zeros_like(action)
+        if tally is not None and explores:
+            normal = normals(numbers[..., world.uniforms :])[..., :actions].to(action.dtype)
+            action = explore(action, normal, tally.deviation)
+        action = world.clip(action)
+        moved = world.step(state, action, numbers[..., : world.uniforms])
+        now = world.outcome(moved, later)
+        if limit is not None:
+            cut = (now == int(Outcome.RUNNING)) & (later >= limit)
+            now = torch.where(cut, int(Outcome.TIMED_OUT), now)
+        more: tuple[Tensor, ...] = ()
+        if tally is not None:
+            added = tally.add(sums, Moment(ticks, observation, action, normal))
+            more = tuple(select(running, a, b) for a, b in zip(added, sums, strict=True))
         return (
             select(running, moved, state),
             torch.where(running, later, ticks),
-            torch.where(running, world.outcome(moved, later), outcome),
+            torch.where(running, now, outcome),
+            *more,
         )
 
     return tick
@@ -53,11 +113,12 @@ def looped(tick: Advance, count: int) -> Advance:
     """``count`` ticks, one after the other."""
 
     def advance(
-        state: Tensor, weight: Tensor, key: Tensor, ticks: Tensor, outcome: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
+        state: Tensor, weight: Tensor, key: Tensor, ticks: Tensor, outcome: Tensor, *sums: Tensor
+    ) -> tuple[Tensor, ...]:
         for _ in range(count):
-            state, ticks, outcome = tick(state, weight, key, ticks, outcome)
-        return state, ticks, outcome
+            state, ticks, outcome, *more = tick(state, weight, key, ticks, outcome, *sums)
+            sums = tuple(more)
+        return state, ticks, outcome, *sums
 
     return advance
 
@@ -66,43 +127,57 @@ def scanned(tick: Advance, count: int) -> Advance:
     """``looped`` as a loop in the graph: one tick to compile, however many there are to run."""
 
     def advance(
-        state: Tensor, weight: Tensor, key: Tensor, ticks: Tensor, outcome: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        def body(
-            carry: tuple[Tensor, Tensor, Tensor], blank: Tensor
-        ) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor]:
-            state, ticks, outcome = tick(carry[0], weight, key, carry[1], carry[2])
+        state: Tensor, weight: Tensor, key: Tensor, ticks: Tensor, outcome: Tensor, *sums: Tensor
+    ) -> tuple[Tensor, ...]:
+        def body(carry: tuple[Tensor, ...], blank: Tensor) -> tuple[tuple[Tensor, ...], Tensor]:
+            new = tick(carry[0], weight, key, *carry[1:])
             # What goes round must not share memory with what came in.
-            return (state.clone(), ticks.clone(), outcome.clone()), blank.clone()
+            return tuple(part.clone() for part in new), blank.clone()
 
         blanks = torch.zeros(count, 2, dtype=torch.int64, device=state.device)
-        carry, _ = scan(body, (state, ticks, outcome), blanks)
-        return carry
+        carry, _ = scan(body, (state, ticks, outcome, *sums), blanks)
+        return tuple(carry)
 
     return advance
 
 
 @dataclass(frozen=True)
 class Finished:
-    """Episodes that are over: slot, outcome, ticks ``[F]`` (int64), final state ``[F, k]``."""
+    """Episodes that are over: slot, outcome, ticks ``[F]`` (int64), final state ``[F, k]``; sums:
+    of the tally, each ``[F, ...]``."""
 
     slot: Tensor
     outcome: Tensor
     ticks: Tensor
     state: Tensor
+    sums: tuple[Tensor, ...] = ()
 
 
 class Tile:
-    """``slots`` episodes at a time, looked at every ``look`` ticks; in inference mode."""
+    """``slots`` episodes at a time, looked at every ``look`` ticks; in inference mode.
+
+    eager: ticks before it goes on compiled, where ``wish`` lets it: compiling takes half a minute,
+    which few ticks are not worth.  tally, limit: see ``one_tick``.
+    """
 
     def __init__(
-        self, world: World, policy: LinearPolicy, *, slots: int, look: int, wish: Wish
+        self,
+        world: World,
+        policy: LinearPolicy,
+        *,
+        slots: int,
+        look: int,
+        wish: Wish,
+        tally: Tally | None = None,
+        limit: int | None = None,
+        eager: int = 0,
     ) -> None:
         self._world = world
-        tick = one_tick(world, policy)
-        self._advance = (
-            looped(tick, look) if wish == "off" else compiled(scanned(tick, look), wish=wish)
-        )
+        self._look = look
+        self._wish: Wish = wish
+        self._eager = eager
+        self._tick = one_tick(world, policy, tally, limit)
+        self._advance: Advance | None = None
         actions, features = policy.weight.shape
         # The batch last in memory, everywhere: a component is one run of memory.
         self._weight = _batch_last(slots, actions, features)
@@ -111,6 +186,8 @@ class Tile:
         self._state = _batch_last(slots, start.shape[-1]).copy_(start)
         self._ticks = self._zeros(slots)
         self._outcome = torch.full_like(self._ticks, IDLE)
+        zeros = () if tally is None else tally.begin(slots)
+        self._sums = tuple(_batch_last(slots, *z.shape[1:], dtype=z.dtype) for z in zeros)
         self._busy = torch.zeros(slots, dtype=torch.bool)
 
     @staticmethod
@@ -134,6 +211,8 @@ class Tile:
         self._key[slot] = key
         self._ticks[slot] = 0
         self._outcome[slot] = int(Outcome.RUNNING)
+        for part in self._sums:
+            part[slot] = 0
         self._busy |= fresh
         numbers = uniform(self._key, torch.zeros_like(self._ticks), self._world.uniforms)
         # Copied, so that the layout in memory is the one that was compiled for.
@@ -144,14 +223,36 @@ class Tile:
         self._outcome[slot] = IDLE
         self._busy[slot] = False
 
+    def _program(self) -> Advance:
+        if self._eager > 0:
+            self._eager -= self._look
+            return looped(self._tick, self._look)
+        if self._advance is None:
+            self._advance = (
+                looped(self._tick, self._look)
+                if self._wish == "off"
+                else compiled(scanned(self._tick, self._look), wish=self._wish)
+            )
+        return self._advance
+
     def advance(self) -> Finished:
         """``look`` ticks; the episodes that ended in them leave their slots."""
-        self._state, self._ticks, self._outcome = self._advance(
-            self._state, self._weight, self._key, self._ticks, self._outcome
+        moved = self._program()(
+            self._state, self._weight, self._key, self._ticks, self._outcome, *self._sums
         )
+        for kept, new in zip(
+            (self._state, self._ticks, self._outcome, *self._sums), moved, strict=True
+        ):
+            kept.copy_(new)
         slot = (self._busy & (self._outcome != int(Outcome.RUNNING))).nonzero().flatten()
         self._busy[slot] = False
-        return Finished(slot, self._outcome[slot], self._ticks[slot], self._state[slot])
+        return Finished(
+            slot,
+            self._outcome[slot],
+            self._ticks[slot],
+            self._state[slot],
+            tuple(part[slot] for part in self._sums),
+        )
 
 
 def _batch_last(slots: int, *shape: int, dtype: torch.dtype = torch.float64) -> Tensor:

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from torch import Tensor
+
 from edtorch.records import RIDES, Budget
 from edtorch.report.statistics import FirstRide
+from edtorch.world import World
 from sims.base import Outcome
 
 
@@ -61,3 +64,11 @@ class Account:
             (self.rides, budget.rides),
         )
         return all(limit is None or used < limit for used, limit in limits)
+
+
+def pay(account: Account, outcome: Tensor, ticks: Tensor, world: World) -> None:
+    """Many episodes at once, in order: their outcome and ticks ``[E]``; one that is out of time
+    before the world's own time limit was cut off."""
+    for end, count in zip(outcome.tolist(), ticks.tolist(), strict=True):
+        cut = end == Outcome.TIMED_OUT and count < world.limit_ticks
+        account.add(Outcome.RUNNING if cut else Outcome(end), count * world.dt)

@@ -8,6 +8,7 @@ and how they go, depends on the seed and on the policy's number alone.
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ from torch import Tensor
 from edtorch.compilation import Wish
 from edtorch.hashing import Use, hash_key, uniform
 from edtorch.policies import LinearPolicy
+from edtorch.report.milestones import Checkpoint
 from edtorch.rivals.episodes import Finished, Tile
 from edtorch.rivals.processes import in_processes
 from edtorch.world import World
@@ -107,6 +109,36 @@ class SearchResult:
     def episodes(self) -> int:
         """Episodes that this takes."""
         return int((self.outcome != int(Outcome.RUNNING)).sum())
+
+    def paid(self, place: int, dt: float, cpu_s_per_step: float) -> Checkpoint:
+        """What this search has paid once the policy at ``place`` is decided, the k-th that it
+        tries being the k-th here; its own runs are the fresh episodes of the checkpoint.
+
+        dt: seconds of a step; cpu_s_per_step: CPU seconds of the run, what was not needed
+        included, per step that it made.
+        """
+        outcome = self.outcome[: place + 1]
+        ran = outcome != int(Outcome.RUNNING)
+        steps = int(self.ticks[: place + 1].sum())
+        own = outcome[-1][ran[-1]]
+        lengths = self.measures.get("path_length_m")
+        return Checkpoint(
+            seconds=steps * dt,
+            episodes=int(ran.sum()),
+            falls=int((outcome == int(Outcome.FAILED)).sum()),
+            cpu_s=steps * cpu_s_per_step,
+            tried=len(own),
+            fall_rate=float((own == int(Outcome.FAILED)).double().mean()),
+            goal_rate=float((own == int(Outcome.SUCCEEDED)).double().mean()),
+            path_length_m=math.nan if lengths is None else float(lengths[place]),
+        )
+
+    def history(self, dt: float, cpu_s_per_step: float) -> list[Checkpoint]:
+        """``paid`` for the first policy that never failed, the first that always reached the goal,
+        where there are such, and the last of all, in order."""
+        firsts = [found.nonzero().flatten()[:1] for found in (self.goal | self.stable, self.goal)]
+        places = {int(place) for place in torch.cat(firsts)} | {len(self.policy) - 1}
+        return [self.paid(place, dt, cpu_s_per_step) for place in sorted(places)]
 
 
 def policy_weights(settings: RandomSearch, policy: LinearPolicy, seed: int, ids: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from torch import Tensor
 from edtorch.features import Identity
 from edtorch.hashing import uniform
 from edtorch.policies import LinearPolicy
+from edtorch.report.milestones import milestones
 from edtorch.report.proportions import Proportion, same_rate
 from edtorch.rivals.episodes import looped, one_tick, scanned
 from edtorch.rivals.random_search import (
@@ -257,3 +258,42 @@ def test_footnote_1(six: bool, goal: int, stable: int, total: int) -> None:
         assert same_rate(share, Proportion(expected, total)) > 0.001
     distance = float(found.measures["path_length_m"][found.goal].median())
     assert abs(distance - (1008 if six else 1006)) < 4
+
+
+def test_what_a_search_had_paid_at_its_milestones() -> None:
+    """Policy after policy, each dropped at its first failure: counted here run by run."""
+    found = _search(FEW, _short_ride())
+    names = {"stable": Outcome.FAILED, "goal": Outcome.SUCCEEDED}
+    told = milestones([found.history(0.01, 1e-3)], [5])
+    for name, wanted in names.items():
+        episodes = falls = ticks = 0
+        for outcomes, lasted in zip(found.outcome.tolist(), found.ticks.tolist(), strict=True):
+            good = True
+            for outcome, count in zip(outcomes, lasted, strict=True):
+                episodes += 1
+                ticks += count
+                falls += outcome == Outcome.FAILED
+                good = good and (outcome == wanted) == (wanted is Outcome.SUCCEEDED)
+                if outcome == Outcome.FAILED:
+                    break
+            if good:
+                break
+        paid = told[name]
+        assert paid["never"] == []
+        assert paid["episodes"]["per_seed"] == [episodes]
+        assert paid["falls"]["per_seed"] == [falls]
+        assert paid["seconds"]["median"] == pytest.approx(ticks * 0.01)
+        assert paid["cpu_s"]["median"] == pytest.approx(ticks * 1e-3)
+    first = int(found.goal.nonzero()[0])
+    length = float(found.measures["path_length_m"][first])
+    assert told["goal"]["path_length_m"]["per_seed"] == [pytest.approx(length)]
+
+
+def test_a_search_without_milestones_has_paid_for_all_of_it() -> None:
+    world = World(LinearSystem([[3.0]], [[0.0]], dt=1.0, time_limit=50.0))
+    found = _search(RandomSearch(policies=5, runs=3, slots=4, look=3), world)
+    told = milestones([found.history(1.0, 0.0)], [8])
+    for name in ("stable", "goal"):
+        assert told[name]["never"] == [8]
+        assert told[name]["episodes"]["per_seed"] == [found.episodes] == [5]
+        assert told[name]["seconds"]["per_seed"] == [found.steps]

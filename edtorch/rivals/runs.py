@@ -1,0 +1,149 @@
+"""Episodes of linear policies from their starts to their ends, as many at a time as there is room.
+
+``edtorch.rivals.episodes.Tile`` advances them; here each gets its slot in turn, and its results
+their place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from edtorch.compilation import Wish
+from edtorch.hashing import Use, hash_key, uniform
+from edtorch.policies import LinearPolicy
+from edtorch.records import Episode
+from edtorch.rivals.episodes import Tally, Tile
+from edtorch.world import World
+from sims.base import Lasting, Outcome
+
+EAGER_TICKS = 20_000
+"""Of a tile, before it is compiled: about as long as compiling takes."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """E episodes from their starts to their ends: outcome, ticks ``[E]`` (int64), final state
+    ``[E, k]``, sums of the tally, each ``[E, ...]``."""
+
+    outcome: Tensor
+    ticks: Tensor
+    state: Tensor
+    sums: tuple[Tensor, ...]
+
+
+class Runs:
+    """Runs episodes of linear policies, on up to ``slots`` slots looked at every ``look`` ticks.
+
+    limit: ticks after which an episode is cut off, which looks like TIMED_OUT; the rest as of
+    ``Tile``.  What an episode does depends on its weights and its key alone.  ValueError for a sim
+    that is not of tensor functions alone (``traceable``), for an episode may then not be stepped in
+    any order.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        policy: LinearPolicy,
+        *,
+        wish: Wish,
+        slots: int = 1024,
+        look: int = 128,
+        tally: Tally | None = None,
+        limit: int | None = None,
+        eager: int = EAGER_TICKS,
+    ) -> None:
+        check_runnable(world)
+        self._slots = slots
+        with torch.inference_mode():
+            self._tile = Tile(
+                world,
+                policy,
+                slots=slots,
+                look=look,
+                wish=wish,
+                tally=tally,
+                limit=limit,
+                eager=eager,
+            )
+
+    def __call__(self, weight: Tensor, key: Tensor, pause: Callable[[], None]) -> Ended:
+        """Episodes of weights ``[E, m, n]`` with keys ``[E, 2]``; at least one.  ``pause`` is
+        called between two looks, and what it raises ends it."""
+        with torch.inference_mode():
+            return self._run(weight, key, pause)
+
+    def _run(self, weight: Tensor, key: Tensor, pause: Callable[[], None]) -> Ended:
+        tile, count, begun = self._tile, len(key), 0
+        # Of an interrupted call before.
+        tile.drop(torch.arange(self._slots))
+        at = torch.zeros(self._slots, dtype=torch.int64)
+        where: list[Tensor] = []
+        parts: list[tuple[Tensor, ...]] = []
+        while begun < count or tile.busy:
+            free = tile.free()[: count - begun]
+            if free:
+                slot = torch.tensor(free)
+                own = torch.arange(begun, begun + len(free))
+                tile.place(slot, weight[own], key[own])
+                at[slot] = own
+                begun += len(free)
+            finished = tile.advance()
+            where.append(at[finished.slot])
+            parts.append((finished.outcome, finished.ticks, finished.state, *finished.sums))
+            pause()
+        order = torch.cat(where).argsort()
+        outcome, ticks, state, *sums = (torch.cat(p)[order] for p in zip(*parts, strict=True))
+        return Ended(outcome, ticks, state, tuple(sums))
+
+
+def check_runnable(world: World) -> None:
+    """Raises ValueError for a sim whose episodes cannot be run side by side in any order."""
+    if not getattr(world.sim, "traceable", False):
+        raise ValueError(
+            f"{world.spec.name}: expected a domain of tensor functions alone (traceable), whose"
+            " episodes can be run in any order"
+        )
+
+
+def can_try(world: World) -> bool:
+    """Whether ``fresh_episodes`` are those of ``edtorch.evaluation``, other random numbers apart:
+    nothing lasts from one to the next, and no angle is counted on from tick to tick."""
+    lasting = isinstance(world.sim, Lasting) and bool(world.sim.lasting)
+    return bool(getattr(world.sim, "traceable", False)) and not lasting and not world.unwraps
+
+
+def fresh_episodes(
+    runs: Runs,
+    world: World,
+    weight: Tensor,
+    seeds: Sequence[int],
+    episodes: int,
+    pause: Callable[[], None],
+) -> list[list[Episode]]:
+    """As ``edtorch.evaluation.evaluate`` for linear policies of weights ``[S, m, n]``: fresh
+    episodes of each, the same ones of a seed whatever else is tried."""
+    number = torch.arange(episodes)
+    key = torch.cat([hash_key(Use.FRESH, seed, number) for seed in seeds])
+    ended = runs(weight.detach().repeat_interleave(episodes, dim=0), key, pause)
+    start = world.initial(uniform(key, torch.zeros_like(key[:, 0]), world.uniforms))
+    seconds = ended.ticks.to(torch.float64) * world.dt
+    measures = world.sim.measures(start, ended.state, seconds)
+    return [
+        [
+            Episode(
+                row=row,
+                number=e,
+                start=0.0,
+                seconds=float(seconds[k]),
+                outcome=Outcome(int(ended.outcome[k])),
+                measures={name: float(values[k]) for name, values in measures.items()},
+            )
+            for e in range(episodes)
+            for k in (row * episodes + e,)
+        ]
+        for row in range(len(seeds))
+    ]
