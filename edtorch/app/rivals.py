@@ -10,7 +10,7 @@ import csv
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from edtorch.records import Budget, Episode
 from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoints, milestones
 from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
 from edtorch.rivals.base import Problem, Rival, Search
+from edtorch.rivals.ledger import FirstGoal
 from edtorch.rivals.runs import Runs, can_try, fresh_episodes
 from edtorch.world import World
 
@@ -203,6 +204,18 @@ def _arrived(setup: RivalSetup, history: Sequence[Checkpoint]) -> bool:
     return bool(getattr(history[-1], MILESTONES[setup.until]))
 
 
+def _first_goal(search: Search, seeds: Sequence[int]) -> dict[str, Any]:
+    """The first episode of each search that reached the goal, while it learned; see ``FirstGoal``."""
+    goals = [account.goal for account in search.accounts]
+    return {
+        **{
+            f.name: Spread([None if g is None else getattr(g, f.name) for g in goals]).as_json()
+            for f in fields(FirstGoal)
+        },
+        "never": [seed for seed, goal in zip(seeds, goals, strict=True) if goal is None],
+    }
+
+
 def _summary(
     setup: RivalSetup, search: Search, trials: Trials, cpu_s: Sequence[float], wall_s: float
 ) -> dict[str, Any]:
@@ -215,6 +228,7 @@ def _summary(
         **evaluation_figures(trials.complete()),
         "milestones": milestones(trials.history, setup.seeds),
         "checkpoints": checkpoints(trials.history),
+        "first_goal": _first_goal(search, setup.seeds),
         "episodes": Spread([a.episodes for a in search.accounts]).as_json(),
         "falls": Spread([a.falls for a in search.accounts]).as_json(),
         "simulated_seconds": lived,

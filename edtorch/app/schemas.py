@@ -20,6 +20,7 @@ from edtorch.rivals.pegasus import Pegasus
 from edtorch.rivals.ppo import PPO
 from edtorch.rivals.reinforce import Reinforce
 from edtorch.rivals.sac import SAC
+from edtorch.rivals.sarsa import Sarsa
 
 
 @dataclass
@@ -467,6 +468,7 @@ RIVALS: dict[str, type] = {
     "lqr": Lqr,
     "pegasus": Pegasus,
     "reinforce": Reinforce,
+    "sarsa": Sarsa,
 }
 """Rivals with a search per seed: their options in ``conf/rival/``, and their settings."""
 

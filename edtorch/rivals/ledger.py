@@ -15,16 +15,30 @@ from edtorch.world import World
 from sims.base import Outcome
 
 
+@dataclass(frozen=True)
+class FirstGoal:
+    """The first episode of a search that reached the goal.
+
+    episodes, falls, paid: how many, and simulated seconds, up to its end; seconds: its own.
+    """
+
+    episodes: int
+    falls: int
+    paid: float
+    seconds: float
+
+
 @dataclass
 class Account:
     """Of one seed.  seconds: simulated, those of an unfinished episode included; first: what was
-    paid before the first ride, None without one."""
+    paid before the first ride, None without one; goal: the first that ended there, if any."""
 
     seconds: float = 0.0
     episodes: int = 0
     falls: int = 0
     rides: int = 0
     first: tuple[int, float] | None = None
+    goal: FirstGoal | None = None
 
     def spend(self, seconds: float) -> None:
         """So many simulated seconds more, of whatever episode."""
@@ -42,6 +56,8 @@ class Account:
             self.rides += 1
             if self.first is None:
                 self.first = (self.falls, self.seconds - seconds)
+        if outcome is Outcome.SUCCEEDED and self.goal is None:
+            self.goal = FirstGoal(self.episodes, self.falls, self.seconds, seconds)
 
     def add(self, outcome: Outcome, seconds: float) -> None:
         """An episode of so many seconds, from its start to its end."""
