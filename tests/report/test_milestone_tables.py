@@ -1,4 +1,4 @@
-"""Milestones: from checkpoints to the summary, and from summaries to a report."""
+"""Checkpoints in a summary; milestones in the tables and figures of a report."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from edtorch.report.document import document
 from edtorch.report.document import milestones as milestone_tables
 from edtorch.report.groups import sections
 from edtorch.report.html import html
-from edtorch.report.milestones import Checkpoint, checkpoints, milestones
+from edtorch.report.milestones import Checkpoint, checkpoints
 from edtorch.report.runs import load_all
 from tests.report.folders import learners, spread
 
@@ -31,15 +31,6 @@ HISTORY = [
     [at(10, 0.5, 0), at(25, 0.1, 0.9)],
     [at(10, 0, 1)],
 ]
-
-
-def test_a_milestone_is_the_first_checkpoint_that_is_one() -> None:
-    found = milestones(HISTORY, [7, 8, 9])
-    assert found["stable"]["seconds"]["per_seed"] == [20, 25, 10]
-    assert found["stable"]["never"] == [8]
-    assert found["goal"]["seconds"]["per_seed"] == [30, 25, 10]
-    assert found["goal"]["falls"]["per_seed"] == [15, 12, 5]
-    assert found["goal"]["path_length_m"]["per_seed"] == [1000, None, 1000]
 
 
 def test_checkpoints_stand_beside_each_other() -> None:
