@@ -14,10 +14,10 @@ import yaml
 from hydra.errors import HydraException
 
 from benchmarks import rerun_paper
-from benchmarks.cells import BadCells, wanted
+from benchmarks.cells import BadCells, is_done, wanted
 from benchmarks.footnote_2 import Falls, zero_policy_falls
 from benchmarks.rerun import CELLS, QUICK_APART, Plan, read_plan
-from benchmarks.rerun_paper import PUBLISHED, Material, beside, estimates, write
+from benchmarks.rerun_paper import PUBLISHED, Material, beside, estimates, footnote_1, write
 from edtorch.report.proportions import Proportion
 from edtorch.report.runs import load
 from tests.app.conftest import environment
@@ -25,6 +25,7 @@ from tests.report.folders import learners, spread
 from tests.report.folders import write as write_run
 
 OUT = Path("out")
+REFERENCE = Path(__file__).parents[2] / "runs" / "reference" / "paper"
 SMALL = """
 common: [log.tensorboard=false]
 quick: [compute.compile=off]
@@ -134,6 +135,22 @@ def test_footnote_1_beside_other_figures() -> None:
     assert all(test.as_json()["compatible"] for test in beside(here, published["preset"]))
     far = {**here, "six_features": {"goal": Proportion(900, 100_000)}}
     assert not beside(far, published["preset"])[2].as_json()["compatible"]
+
+
+@pytest.mark.oracle
+def test_the_committed_footnote_1() -> None:
+    """Of the cells as they stand, 100,000 policies each: the figures of the preset."""
+    plan = read_plan(CELLS.read_text(), REFERENCE, quick=False)
+    runs = {row: [load(REFERENCE / row)] for row in plan.rows if row.startswith("footnote_1/")}
+    for row in runs:
+        (cell,) = plan.rows[row]
+        assert is_done(cell.folder(REFERENCE), wanted(cell))
+    found = footnote_1(Material(runs, {}), yaml.safe_load(PUBLISHED.read_text())["footnote_1"])
+    assert found is not None
+    assert len(found["preset"]["tests"]) == 4
+    assert all(test["p_holm"] > 0.01 for test in found["preset"]["tests"])
+    for distance in found["preset"]["distances"].values():
+        assert abs(distance["difference_m"]) <= 3
 
 
 def test_an_untouched_bicycle_falls_after_1_69_seconds() -> None:
