@@ -139,10 +139,14 @@ class Boxes:
         self._tables: list[tuple[int, list[tuple[int, int, Tensor]]]] = []
         self.rows = 0
         for name, table in tables.items():
-            try:
-                places = spec_index(world.spec, table)
-            except ValueError as error:
-                raise ValueError(f"tables.{name}: {error}") from None
+            known = [quantity.name for quantity in world.spec.state]
+            for component, edges in table.items():
+                if component not in known:
+                    raise ValueError(
+                        f"tables.{name}.{component}={list(edges)}: expected a component of"
+                        f" {world.spec.name}: {', '.join(known)}"
+                    )
+            places = spec_index(world.spec, table)
             parts: list[tuple[int, int, Tensor]] = []
             size = 1
             for place, edges in zip(places, table.values(), strict=True):
