@@ -240,7 +240,7 @@ def _checkpoints(history: Sequence[Sequence[Checkpoint]]) -> list[dict[str, Any]
 
 
 def _first_goal(search: Search, seeds: Sequence[int]) -> dict[str, Any]:
-    """The first episode of each search that reached the goal, while it learned; see ``FirstGoal``."""
+    """The first episode of each search to the goal, while it learned; see ``FirstGoal``."""
     goals = [account.goal for account in search.accounts]
     return {
         **{

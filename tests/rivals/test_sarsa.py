@@ -365,7 +365,10 @@ def test_refuses(argument: dict[str, Any], wanted: str) -> None:
 @pytest.mark.parametrize(
     ("argument", "wanted"),
     [
-        ({"tables": {"cells": {"nowhere": [0.0]}}}, r"tables.cells.nowhere=\[0.0\]: expected a component of corridor: cell"),
+        (
+            {"tables": {"cells": {"nowhere": [0.0]}}},
+            r"tables.cells.nowhere=\[0.0\]: expected a component of corridor: cell",
+        ),
         ({"actions": {"front": [0.0]}}, "expected values of side, and no other"),
         ({"actions": {"side": [0.0, 3.0]}}, r"actions.side=\[0.0, 3.0\]: expected values from -1"),
     ],
