@@ -205,7 +205,7 @@ def _arrived(setup: RivalSetup, history: Sequence[Checkpoint]) -> bool:
 
 
 def _first_goal(search: Search, seeds: Sequence[int]) -> dict[str, Any]:
-    """The first episode of each search that reached the goal, while it learned; see ``FirstGoal``."""
+    """The first episode of each search to the goal, while it learned; see ``FirstGoal``."""
     goals = [account.goal for account in search.accounts]
     return {
         **{

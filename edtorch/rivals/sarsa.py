@@ -21,8 +21,8 @@ and an episode begins with e = 0.  The tick in which time ran out teaches nothin
 come after it is not known.  Actions are the best ones, the first of equals, but for a share
 ``exploration`` of them, which are uniformly random.
 
-A trace that has fallen below ``forget`` counts as 0, so that a table needs to remember only its last
-log(forget) / log(gamma lambda) visits, and a tick costs that many additions, however large the
+A trace that has fallen below ``forget`` counts as 0, so that a table needs to remember only its
+last log(forget) / log(gamma lambda) visits, and a tick costs that many additions, however large the
 tables are.  All seeds go in lockstep, each by random numbers of its own.
 """
 
@@ -52,15 +52,15 @@ CHUNK = 2000
 
 @dataclass(frozen=True)
 class Sarsa:
-    """tables: by name, each the edges of its boxes by component of the state, in its unit, rising; a
-    component on an edge is above it.  rates: alpha of each table, by the same names.  actions: values
-    by component of the action, in its unit, of which every combination is an action.
+    """tables: by name, each the edges of its boxes by component of the state, in its unit, rising;
+    a component on an edge is above it.  rates: alpha of each table, by the same names.  actions:
+    values by component of the action, in its unit, of which every combination is an action.
 
     discount: gamma per tick, in [0, 1); trace: lambda, in [0, 1]; forget: the trace that counts as
     0; exploration: share of random actions.
 
-    The reward of a tick: failure or success for one that ends an episode, else step plus the shaping
-    reward of the problem.  every: simulated seconds from one checkpoint to the next.
+    The reward of a tick: failure or success for one that ends an episode, else step plus the
+    shaping reward of the problem.  every: simulated seconds from one checkpoint to the next.
     """
 
     tables: dict[str, dict[str, list[float]]] = field(default_factory=dict)
@@ -139,10 +139,14 @@ class Boxes:
         self._tables: list[tuple[int, list[tuple[int, int, Tensor]]]] = []
         self.rows = 0
         for name, table in tables.items():
-            try:
-                places = spec_index(world.spec, table)
-            except ValueError as error:
-                raise ValueError(f"tables.{name}: {error}") from None
+            known = [quantity.name for quantity in world.spec.state]
+            for component, edges in table.items():
+                if component not in known:
+                    raise ValueError(
+                        f"tables.{name}.{component}={list(edges)}: expected a component of"
+                        f" {world.spec.name}: {', '.join(known)}"
+                    )
+            places = spec_index(world.spec, table)
             parts: list[tuple[int, int, Tensor]] = []
             size = 1
             for place, edges in zip(places, table.values(), strict=True):
@@ -202,7 +206,7 @@ class Greedy:
         self.actions = actions
 
     def action(self, parameters: Parameters, observation: Tensor) -> Tensor:
-        """Actions ``[N, m]``, scaled, for observations ``[N, n]`` and ``table`` ``[N, rows, A]``."""
+        """Actions ``[N, m]`` for observations ``[N, n]``, scaled; ``table`` ``[N, rows, A]``."""
         table = parameters["table"]
         row = self.boxes.row(observation)
         batch = torch.arange(len(table), device=table.device).unsqueeze(-1)
@@ -306,7 +310,7 @@ class _Tick:
     def __call__(
         self, memory: _Memory, here: _Moment, going: Tensor, clock: Tensor, place: Tensor
     ) -> _Moment:
-        """going ``[S]``: who learns; clock ``[]``: number of the tick; place ``[]``: in the chunk."""
+        """going ``[S]``: who learns; clock ``[]``: the tick; place ``[]``: its in the chunk."""
         settings, world = self._settings, self._world
         state, observation, row = (
             x.movedim(0, -1) for x in (here.state, here.observation, here.row)
@@ -364,8 +368,8 @@ def _moment(
 Advance = Callable[
     [_Memory, tuple[Tensor, ...], Tensor, Tensor, Tensor], tuple[Tensor, tuple[Tensor, ...]]
 ]
-"""(memory, moment, going ``[S]``, clock ``[]``, count ``[]``) to (clock, moment) ``count`` ticks, at
-most ``CHUNK``, later; memory is changed in place."""
+"""(memory, moment, going ``[S]``, clock ``[]``, count ``[]``) to (clock, moment) ``count`` ticks
+later, at most ``CHUNK``; memory is changed in place."""
 
 
 def looped(tick: _Tick) -> Advance:

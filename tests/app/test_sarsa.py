@@ -52,7 +52,10 @@ def test_the_folder_is_complete(folder: Path) -> None:
     [
         (["rival.discount=1"], r"rival\.discount=1\.0: expected a number in"),
         (["rival.tables.balance.lean=[1,0]"], r"rival\.tables\.balance\.lean=\[1\.0, 0\.0\]"),
-        (["domain.lean_acceleration=false"], r"rival\.tables\.balance: names='lean_acceleration'"),
+        (
+            ["domain.lean_acceleration=false"],
+            r"rival\.tables\.balance\.lean_acceleration=\[.*\]: expected a component of bicycle",
+        ),
         (["rival.policies=3"], r"rival\.policies"),
     ],
 )
