@@ -392,6 +392,9 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
     walls = [cell["wall_s"] for cell in cells.values() if cell["wall_s"] is not None]
     stable = estimates(list(material.runs.get(FIGURE_2, ()))).get(TO_STABLE[1].name)
     missing_figures = [name for name in CAPTIONS if name not in drawn]
+    for name in missing_figures:  # of a former rerun
+        for kind in ("png", "svg"):
+            (folder / f"{name}.{kind}").unlink(missing_ok=True)
     numbers = {
         "quick": quick,
         "footnote_1": first,

@@ -217,6 +217,7 @@ def paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Any]:
         "methods/bicycle_lqr": [load(learners(tmp_path / "lqr", [3, 4]))],
     }
     missing = {"methods/bicycle_sarsa": "not made yet, or failed"}
+    (tmp_path / "figure_3.png").write_text("of a former rerun")
     write(Material(runs, missing), tmp_path, ["figure_2_upper"], quick=False)
     return (tmp_path / "paper.md").read_text(), json.loads((tmp_path / "paper.json").read_text())
 
@@ -239,8 +240,9 @@ def test_every_figure_beside_the_published(paper: tuple[str, Any]) -> None:
     assert median["value"] == 195
 
 
-def test_what_is_not_there_is_said_and_not_invented(paper: tuple[str, Any]) -> None:
+def test_what_is_not_there_is_said_and_not_invented(paper: tuple[str, Any], tmp_path: Path) -> None:
     text, numbers = paper
+    assert not (tmp_path / "figure_3.png").exists()
     assert _row(text, "bicycle_sarsa", 0) == [
         "bicycle_sarsa", "missing", "", "", "1,700 episodes", "", "", "", "",
     ]  # fmt: skip
