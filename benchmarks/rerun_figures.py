@@ -72,7 +72,7 @@ def _figure_2(run: Run, folder: Path) -> list[str]:
     path = run.path / POLICY
     dtype = policy_dtype(path)
     world = World(sim, dtype, unwrap=config.observation.unwrap)
-    policy, shapes = build_actor(config, sim, dtype)
+    policy, shapes = build_actor(config, world)
     parameters = load_policy(path, policy_card(sim, policy, run.seeds), shapes)
 
     episodes, size = _episodes(run.path)

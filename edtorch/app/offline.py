@@ -38,6 +38,7 @@ from edtorch.log import ConsoleSink, CsvSink, Sink, TensorBoardSink
 from edtorch.models import NextStateModel
 from edtorch.offline import Lessons, Offline, learn
 from edtorch.records import Episode
+from edtorch.report.milestones import checkpoint, milestones
 from edtorch.report.statistics import FirstRide, Spread, evaluation_figures, first_ride_figures
 from edtorch.transitions import Invalid, Recorded, joined, load_transitions
 from edtorch.trouble import CovarianceFloored
@@ -220,6 +221,28 @@ def _save(folder: Path, offline: Offline) -> None:
     write_atomically(folder / CHECKPOINT, lambda partial: torch.save(content, partial))
 
 
+def _milestones(
+    offline: Offline,
+    fresh: Sequence[Sequence[Episode]],
+    own: Sequence[Sequence[Episode]],
+    cpu_s: float,
+) -> dict[str, Any]:
+    """One checkpoint, at the end: what is paid is the data; own: the episodes in each seed's."""
+    history = [
+        [
+            checkpoint(
+                tried,
+                seconds=seconds,
+                falls=sum(e.outcome is Outcome.FAILED for e in lived),
+                paid=len(lived),
+                cpu_s=cpu_s / len(fresh),
+            )
+        ]
+        for tried, seconds, lived in zip(fresh, offline.experience, own, strict=True)
+    ]
+    return milestones(history, offline.seeds)
+
+
 def _summary(job: OfflineSetup, evaluation: Evaluation, timing: Timing) -> dict[str, Any]:
     """The content of ``summary.json``: a learner's, all experience being that of the data."""
     offline, episodes = job.offline, evaluation.episodes
@@ -237,10 +260,11 @@ def _summary(job: OfflineSetup, evaluation: Evaluation, timing: Timing) -> dict[
         "transitions_left_out": offline.unused,
         "steps": offline.steps.tolist(),
     }
-    world = job.setup.world
     reached = {}
-    if world.spec.goal and any(episodes):
+    if job.setup.world.spec.goal and any(episodes):
         reached = {"evaluations": [evaluation.as_json()], "final": evaluation.as_json()}
+    if all(episodes):
+        reached["milestones"] = _milestones(offline, episodes, own, timing.cpu_s)
     return {
         "seeds": seeds,
         **first_ride_figures(first, seeds),

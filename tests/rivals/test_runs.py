@@ -69,7 +69,7 @@ def test_returns_are_those_of_a_plain_loop(slots: int, look: int) -> None:
     tally = Return(SparseReward(_reward()), DISCOUNT, world.dt)
     policy = LinearPolicy(5, 2, Identity(5))
     runs = Runs(world, policy, wish="off", slots=slots, look=look, tally=tally, limit=120)
-    weight, key = _weights(8), _keys(8)
+    weight, key, outcomes = _weights(8), _keys(8), set[int]()
     for _ in range(2):
         ended = runs(weight, key, pause)
         outcomes = set(ended.outcome.tolist())
