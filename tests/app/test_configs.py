@@ -37,7 +37,7 @@ RIVALS = {
     "cardea_ppo": ["rival.steps=64", "rival.rollout=8", "rival.hidden=[8]"],
     "cardea_sac": ["rival.steps=110", "rival.hidden=[8]"],
 }
-# Elsewhere: random search (test_rival), Sarsa (test_sarsa), and what makes or needs files (test_offline).
+# Elsewhere: test_rival (random search), test_sarsa, and what makes or needs files, test_offline.
 ELSEWHERE = {"footnote1", "bicycle_random_falls", "bicycle_offline", "bicycle_sarsa", *RIVALS}
 LEARNING = [name for name in EXPERIMENTS if name not in ELSEWHERE]
 OPTIONS = sorted(
