@@ -35,14 +35,12 @@ from edtorch.records import Budget, Episode
 from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoint, milestones
 from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
 from edtorch.rivals.base import Problem, Rival, Search
-from edtorch.rivals.runs import Runs, can_try, fresh_episodes
+from edtorch.rivals.runs import SLOTS, Runs, can_try, fresh_episodes
 from edtorch.world import World
 
 SCREENING = 2
 """Fresh episodes that a policy must end without a fall before it is tried in all of them: one that
 falls in one of these is not stable, and most of what a rival tries falls."""
-SLOTS = 1024
-"""Of fresh episodes at a time, at most."""
 SECONDS_BETWEEN_LINES = 10.0
 COLUMNS = ("simulated_seconds", "episodes", "falls", "rides", "cpu_s", "fall_rate", "goal_rate")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
-from dataclasses import Field, fields
+from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +18,33 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 import conf
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
+from edtorch.app.rival import build_search
+from edtorch.app.rivals import build_rival
 from edtorch.evaluation import evaluate
 from edtorch.interact import Training
 from edtorch.inverse.policy import InversePolicy
 from edtorch.learner import Learner
 from edtorch.records import Budget
+from edtorch.rivals.random_search import search
 from edtorch.unroll import Horizon
 from sims.base import Outcome
 from sims.bicycle import Bicycle
 
 ROOT = Path(str(conf.__file__)).parent
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "experiment").glob("*.yaml"))
-# The others are a rival's: see test_rival.
-LEARNING = [name for name in EXPERIMENTS if name != "footnote1"]
+RIVALS = [
+    name
+    for name in EXPERIMENTS
+    if "override /rival" in (ROOT / "experiment" / f"{name}.yaml").read_text()
+]
+LEARNING = [name for name in EXPERIMENTS if name not in RIVALS]
+SEARCHES = ("bicycle_random_search", "footnote1")
+# What makes a rival's piece of work a short one.
+SHORT = {
+    "bicycle_adaptive_lqr": ("rival.piece=0.2",),
+    "bicycle_pegasus": ("rival.scenarios=2", "rival.lengths=2", "rival.horizon=1"),
+    "bicycle_reinforce": ("rival.batch=3", "rival.updates=2", "rival.horizon=1"),
+}
 OPTIONS = sorted(
     (path.parent.name, path.stem)
     for path in ROOT.glob("*/*.yaml")
@@ -84,6 +98,34 @@ def test_experiment_runs_three_episodes(name: str) -> None:
     assert [e.number for e in training.episodes if e.row == 1] == [0, 1, 2]
     assert bool(training.finite.all())
     assert all(bool(p.abs().max() > 0) for p in training.learners.policy.values())
+
+
+@pytest.mark.experiment
+@pytest.mark.parametrize("name", [name for name in RIVALS if name not in SEARCHES])
+def test_experiment_of_a_rival_works_a_piece(name: str) -> None:
+    short = ("seeds=2", "compute.compile=off", *SHORT.get(name, ()))
+    setup = build_rival(_compose(f"experiment={name}", *short))
+    begun = setup.rival.begin(setup.problem)
+    begun.advance([True, True], lambda: None)
+    known = name == "bicycle_lqr"
+    assert [account.seconds == 0 for account in begun.accounts] == [known, known]
+    assert all(bool(p.isfinite().all()) for p in begun.parameters.values())
+    assert setup.episodes == 30
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_experiment_of_a_random_search(name: str) -> None:
+    setup = build_search(_compose(f"experiment={name}", "rival.policies=5"))
+    found = search(
+        replace(setup.settings, slots=8, look=64, runs=2),
+        setup.world,
+        setup.policy,
+        seed=setup.seed,
+        processes=1,
+        wish="off",
+        report=lambda progress: None,
+    )
+    assert len(found.policy) == 5 <= found.episodes
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS, ids=str)
