@@ -38,11 +38,9 @@ from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoints, miles
 from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
 from edtorch.rivals.base import Problem, Rival, Search
 from edtorch.rivals.ledger import FirstGoal
-from edtorch.rivals.runs import Runs, can_try, fresh_episodes
+from edtorch.rivals.runs import SLOTS, Runs, can_try, fresh_episodes
 from edtorch.world import World
 
-SLOTS = 1024
-"""Of fresh episodes at a time, at most."""
 SECONDS_BETWEEN_LINES = 10.0
 COLUMNS = ("simulated_seconds", "episodes", "falls", "rides", "cpu_s", "fall_rate", "goal_rate")
 

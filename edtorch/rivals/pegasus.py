@@ -31,7 +31,7 @@ from edtorch.learner import Actor
 from edtorch.rivals.base import Problem
 from edtorch.rivals.ledger import Account, pay
 from edtorch.rivals.returns import Return, SparseReward, charge, check_discount
-from edtorch.rivals.runs import Ended, Runs
+from edtorch.rivals.runs import SLOTS, Ended, Runs
 from edtorch.types import Parameters
 from sims.base import Outcome
 
@@ -83,6 +83,7 @@ class PegasusSearch:
             problem.world,
             problem.policy,
             wish=problem.compile,
+            slots=min(SLOTS, settings.scenarios * len(problem.seeds) * settings.lengths),
             tally=Return(SparseReward(problem.reward), settings.discount, problem.world.dt),
             limit=self._limit,
         )

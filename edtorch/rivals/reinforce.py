@@ -34,7 +34,7 @@ from edtorch.rivals.base import Problem
 from edtorch.rivals.episodes import Moment
 from edtorch.rivals.ledger import Account, pay
 from edtorch.rivals.returns import SparseReward
-from edtorch.rivals.runs import Ended, Runs
+from edtorch.rivals.runs import SLOTS, Ended, Runs
 from edtorch.types import Parameters
 from sims.base import Outcome
 
@@ -139,7 +139,13 @@ class ReinforceSearch:
             world.dt,
         )
         self._runs = Runs(
-            world, policy, wish=problem.compile, tally=self._tally, limit=self._limit, look=64
+            world,
+            policy,
+            wish=problem.compile,
+            slots=min(SLOTS, settings.batch * len(problem.seeds)),
+            look=64,
+            tally=self._tally,
+            limit=self._limit,
         )
         self._seeds = list(problem.seeds)
         self._weight = torch.zeros(len(self._seeds), policy.weight.numel(), dtype=torch.float64)

@@ -20,6 +20,8 @@ from edtorch.rivals.episodes import Tally, Tile
 from edtorch.world import World
 from sims.base import Lasting, Outcome
 
+SLOTS = 1024
+"""Of a tile: as many as the processor's caches hold, with what a tick makes of them."""
 EAGER_TICKS = 20_000
 """Of a tile, before it is compiled: about as long as compiling takes."""
 
@@ -50,7 +52,7 @@ class Runs:
         policy: LinearPolicy,
         *,
         wish: Wish,
-        slots: int = 1024,
+        slots: int = SLOTS,
         look: int = 128,
         tally: Tally | None = None,
         limit: int | None = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
-from dataclasses import Field, fields
+from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +18,41 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 import conf
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
+from edtorch.app.rival import build_search
 from edtorch.app.rivals import build_rival
 from edtorch.evaluation import evaluate
 from edtorch.interact import Training
 from edtorch.inverse.policy import InversePolicy
 from edtorch.learner import Learner
 from edtorch.records import Budget
+from edtorch.rivals.random_search import search
 from edtorch.unroll import Horizon
 from sims.base import Outcome
 from sims.bicycle import Bicycle
 
 ROOT = Path(str(conf.__file__)).parent
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "experiment").glob("*.yaml"))
-# Of rivals with a search per seed, and what makes a piece of work of each small.
-RIVALS = {
-    "bicycle_ppo": ["rival.steps=64", "rival.rollout=8", "rival.hidden=[8]"],
-    "bicycle_sac": ["rival.steps=110", "rival.hidden=[8]"],
-    "cardea_ppo": ["rival.steps=64", "rival.rollout=8", "rival.hidden=[8]"],
-    "cardea_sac": ["rival.steps=110", "rival.hidden=[8]"],
+RIVALS = [
+    name
+    for name in EXPERIMENTS
+    if "override /rival" in (ROOT / "experiment" / f"{name}.yaml").read_text()
+]
+SEARCHES = ("bicycle_random_search", "footnote1")
+# What makes or needs files is run in test_offline.
+LEARNING = [
+    name for name in EXPERIMENTS if name not in ("bicycle_random_falls", "bicycle_offline", *RIVALS)
+]
+# What makes a rival's piece of work a short one.
+SHORT = {
+    "bicycle_adaptive_lqr": ("rival.piece=0.2",),
+    "bicycle_pegasus": ("rival.scenarios=2", "rival.lengths=2", "rival.horizon=1"),
+    "bicycle_ppo": ("rival.steps=64", "rival.rollout=8", "rival.hidden=[8]"),
+    "bicycle_reinforce": ("rival.batch=3", "rival.updates=2", "rival.horizon=1"),
+    "bicycle_sac": ("rival.steps=110", "rival.hidden=[8]"),
+    "bicycle_sarsa": ("rival.every=2.0",),
+    "cardea_ppo": ("rival.steps=64", "rival.rollout=8", "rival.hidden=[8]"),
+    "cardea_sac": ("rival.steps=110", "rival.hidden=[8]"),
 }
-# Elsewhere: test_rival (random search), test_sarsa, and what makes or needs files, test_offline.
-ELSEWHERE = {"footnote1", "bicycle_random_falls", "bicycle_offline", "bicycle_sarsa", *RIVALS}
-LEARNING = [name for name in EXPERIMENTS if name not in ELSEWHERE]
 OPTIONS = sorted(
     (path.parent.name, path.stem)
     for path in ROOT.glob("*/*.yaml")
@@ -97,19 +110,35 @@ def test_experiment_runs_three_episodes(name: str) -> None:
 
 
 @pytest.mark.experiment
-@pytest.mark.parametrize("name", RIVALS)
-def test_rival_experiment_advances(name: str) -> None:
+@pytest.mark.parametrize("name", [name for name in RIVALS if name not in SEARCHES])
+def test_experiment_of_a_rival_works_a_piece(name: str) -> None:
     if name.startswith("cardea"):
         pytest.importorskip("pybullet", reason="the extra [cardea] is not installed")
-    setup = build_rival(_compose(f"experiment={name}", "seeds=2", *RIVALS[name]))
-    search = setup.rival.begin(setup.problem)
-    before = search.parameters
-    search.advance([True, True], lambda: None)
-    for row, account in enumerate(search.accounts):
-        assert account.seconds > 0 and account.episodes >= account.falls
-        assert any(not p[row].equal(before[k][row]) for k, p in search.parameters.items())
-    tried = evaluate(search.actor, search.parameters, setup.calm, setup.seeds, 2)
-    assert [len(own) for own in tried] == [2, 2]
+    short = ("seeds=2", "compute.compile=off", *SHORT.get(name, ()))
+    setup = build_rival(_compose(f"experiment={name}", *short))
+    begun = setup.rival.begin(setup.problem)
+    before = begun.parameters
+    begun.advance([True, True], lambda: None)
+    known = name == "bicycle_lqr"
+    assert [account.seconds == 0 for account in begun.accounts] == [known, known]
+    assert all(bool(p.isfinite().all()) for p in begun.parameters.values())
+    for row in range(2):
+        assert any(not p[row].equal(before[k][row]) for k, p in begun.parameters.items())
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_experiment_of_a_random_search(name: str) -> None:
+    setup = build_search(_compose(f"experiment={name}", "rival.policies=5"))
+    found = search(
+        replace(setup.settings, slots=8, look=64, runs=2),
+        setup.world,
+        setup.policy,
+        seed=setup.seed,
+        processes=1,
+        wish="off",
+        report=lambda progress: None,
+    )
+    assert len(found.policy) == 5 <= found.episodes
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS, ids=str)

@@ -33,7 +33,7 @@ def test_gain_solves_the_riccati_equation() -> None:
     search = Lqr().begin(asked)
     F, G = (torch.tensor(x, dtype=torch.float64) for x in (STATE, ACTION))
     Q, R = asked.reward.state_cost, asked.reward.action_cost
-    P, theta = Q, torch.zeros(1, 2)
+    P, theta = Q, torch.zeros(1, 2, dtype=torch.float64)
     for _ in range(500):
         theta = -torch.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)
         P = Q + F.T @ P @ (F + G @ theta)

@@ -69,10 +69,11 @@ def test_returns_are_those_of_a_plain_loop(slots: int, look: int) -> None:
     tally = Return(SparseReward(_reward()), DISCOUNT, world.dt)
     policy = LinearPolicy(5, 2, Identity(5))
     runs = Runs(world, policy, wish="off", slots=slots, look=look, tally=tally, limit=120)
-    weight, key, outcomes = _weights(8), _keys(8), set[int]()
+    weight, key = _weights(8), _keys(8)
+    outcomes: set[int] = set()
     for _ in range(2):
         ended = runs(weight, key, pause)
-        outcomes = set(ended.outcome.tolist())
+        outcomes |= set(ended.outcome.tolist())
         for k in range(8):
             outcome, ticks, total = _plainly(weight[k], key[k], 120)
             assert (int(ended.outcome[k]), int(ended.ticks[k])) == (outcome, ticks)
