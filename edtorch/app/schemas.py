@@ -14,6 +14,9 @@ from typing import Any, get_type_hints
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from edtorch.rivals.fitted_q import FittedQ
+from edtorch.rivals.lspi import Lspi
+
 
 @dataclass
 class FunctionConfig:
@@ -437,7 +440,7 @@ def _default(setting: Field[Any]) -> Any:
     return field(default=MISSING if setting.default is DATACLASS_MISSING else setting.default)
 
 
-RIVALS: dict[str, type] = {}
+RIVALS: dict[str, type] = {"fitted_q": FittedQ, "lspi": Lspi}
 """Rivals with a search per seed: their options in ``conf/rival/``, and their settings."""
 
 
