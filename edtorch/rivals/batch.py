@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -69,7 +70,7 @@ class BatchSettings:
     reward_failure where the episode ends by a failure.  Nothing is gained after an end.
     """
 
-    actions: list[list[float]] = field(default_factory=list)
+    actions: Any = field(default_factory=list)  # a typed list would refuse whole numbers
     steps: int | None = None
     discount: float = 0.98
     reward_square: dict[str, float] = field(default_factory=dict)
@@ -101,9 +102,11 @@ def at_least(name: str, value: int, least: int) -> None:
 
 
 def action_set(settings: BatchSettings, world: World) -> Tensor:
-    """The actions to choose from, scaled, ``[A, m]``.  Raises ValueError, which names the setting."""
+    """The actions to choose from, scaled, ``[A, m]``; ValueError names the setting."""
     spec = world.spec
     chosen = settings.actions
+    if not isinstance(chosen, list):
+        raise ValueError(f"actions={chosen}: expected a list of vectors")
     if not chosen:
         bounds = [q.low for q in spec.action] + [q.high for q in spec.action]
         if not all(map(math.isfinite, bounds)):
@@ -116,8 +119,7 @@ def action_set(settings: BatchSettings, world: World) -> Tensor:
             for vector in itertools.product(*(sorted({q.low, 0.0, q.high}) for q in spec.action))
         ]
     for place, vector in enumerate(chosen):
-        fits = len(vector) == len(spec.action) and all(map(math.isfinite, vector))
-        if not fits:
+        if not _is_vector(vector, len(spec.action)):
             raise ValueError(
                 f"actions[{place}]={vector}: expected {len(spec.action)} finite numbers,"
                 f" {', '.join(q.name for q in spec.action)}"
@@ -128,6 +130,13 @@ def action_set(settings: BatchSettings, world: World) -> Tensor:
     if len({tuple(vector) for vector in chosen}) != len(chosen) or len(chosen) < 2:
         raise ValueError(f"actions={chosen}: expected at least two, all different")
     return world.scaled(torch.tensor(chosen, dtype=torch.float64, device=world.device))
+
+
+def _is_vector(given: Any, size: int) -> bool:
+    """Whether it is a list of so many finite numbers."""
+    if not isinstance(given, list) or len(given) != size:
+        return False
+    return all(isinstance(a, (int, float)) and math.isfinite(a) for a in given)
 
 
 def choices(actions: Tensor, taken: Tensor) -> Tensor:
@@ -157,7 +166,9 @@ def _angle(name: str, weight: float, quantity: Quantity) -> None:
 
 def rewards(settings: BatchSettings, spec: Spec, data: Transitions) -> Tensor:
     """The reward of each transition, ``[N]``.  Raises ValueError, which names the setting."""
-    scale = torch.tensor([q.scale for q in spec.state]).to(data.state)
+    scale = torch.tensor(
+        [q.scale for q in spec.state], dtype=torch.float64, device=data.state.device
+    )
     before, after = data.state * scale, data.next_state * scale
     total = settings.reward_failure * data.failed.to(before.dtype)
     for place, weight in _weights("reward_square", settings.reward_square, spec):

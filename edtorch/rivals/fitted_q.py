@@ -97,7 +97,8 @@ class Forest:
     def predict(self, inputs: np.ndarray) -> np.ndarray:
         """The mean of the trees, ``[N]``."""
         parts = range(0, len(inputs), ROWS)
-        return np.concatenate([self.value[self.leaves(inputs[k : k + ROWS])].mean(0) for k in parts])
+        pieces = (self.leaves(inputs[k : k + ROWS]) for k in parts)
+        return np.concatenate([self.value[places].mean(0) for places in pieces])
 
     def column(self, name: str) -> np.ndarray:
         """An attribute of all nodes, ``[M]``."""
@@ -170,12 +171,11 @@ class Iteration:
         return grown(regression.fit(self._here, self.targets))
 
     def _renewed(self, forest: Forest) -> tuple[Forest, np.ndarray]:
-        """The same trees with the means of the targets at their leaves, and what follows by them."""
+        """The same trees, at their leaves the means of the targets, and what follows by them."""
         if self._places is None:
             # int32: the leaves of all that can follow are most of the memory.
-            self._places = tuple(
-                forest.leaves(inputs).astype(np.int32) for inputs in (self._here, self._there)
-            )
+            whole = [forest.leaves(inputs) for inputs in (self._here, self._there)]
+            self._places = whole[0].astype(np.int32), whole[1].astype(np.int32)
         here, there = self._places
         size, targets = len(forest.value), self.targets
         total, count = np.zeros(size), np.zeros(size)
@@ -234,9 +234,9 @@ class FittedQSearch:
 
     @property
     def stored(self) -> Parameters:
-        """The forests themselves, see ``edtorch.rivals.base.Storing``: the nodes of all trees of all
-        seeds one after the other, ``first`` ``[S, T]`` of each tree; left and right are counted from
-        there, and -1 at a leaf; at most the threshold goes left."""
+        """The forests themselves (``edtorch.rivals.base.Storing``): the nodes of all trees of all
+        seeds one after the other, ``first`` ``[S, T]`` of each tree; left and right are counted
+        from there, and -1 at a leaf; at most the threshold goes left."""
         forests = [forest for forest in self._forests if forest is not None]
         sizes = np.cumsum([0, *(len(forest.value) for forest in forests)])
         starts = [forest.first[:-1] + size for forest, size in zip(forests, sizes, strict=False)]

@@ -18,6 +18,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 import conf
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
+from edtorch.app.rivals import build_rival
 from edtorch.evaluation import evaluate
 from edtorch.interact import Training
 from edtorch.inverse.policy import InversePolicy
@@ -29,8 +30,13 @@ from sims.bicycle import Bicycle
 
 ROOT = Path(str(conf.__file__)).parent
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "experiment").glob("*.yaml"))
+# Of rivals with a search per seed, and what makes a piece of work of each small.
+RIVALS = {
+    "bicycle_fitted_q": ["rival.episodes=3", "rival.iterations=1", "rival.trees=2"],
+    "bicycle_lspi": ["rival.episodes=[5]"],
+}
 # The others are a rival's: see test_rival.
-LEARNING = [name for name in EXPERIMENTS if name != "footnote1"]
+LEARNING = [name for name in EXPERIMENTS if name not in {"footnote1", *RIVALS}]
 OPTIONS = sorted(
     (path.parent.name, path.stem)
     for path in ROOT.glob("*/*.yaml")
@@ -84,6 +90,26 @@ def test_experiment_runs_three_episodes(name: str) -> None:
     assert [e.number for e in training.episodes if e.row == 1] == [0, 1, 2]
     assert bool(training.finite.all())
     assert all(bool(p.abs().max() > 0) for p in training.learners.policy.values())
+
+
+@pytest.mark.experiment
+@pytest.mark.parametrize("name", RIVALS)
+def test_rival_experiment_advances(name: str) -> None:
+    setup = build_rival(_compose(f"experiment={name}", "seeds=2", *RIVALS[name]))
+    search = setup.rival.begin(setup.problem)
+    search.advance([True, True], lambda: None)
+    for account in search.accounts:
+        assert account.seconds > 0 and account.episodes >= account.falls
+    tried = evaluate(search.actor, search.parameters, setup.calm, setup.seeds, 2)
+    assert [len(own) for own in tried] == [2, 2]
+
+
+def test_rivals_are_evaluated_in_the_plain_domain() -> None:
+    """eval.domain holds for them: the record begins off balance, the ride does not."""
+    setup = build_rival(_compose("experiment=bicycle_lspi"))
+    assert isinstance(setup.problem.world.sim, Bicycle)
+    assert setup.problem.world.sim.start_lean > 0
+    assert setup.calm.sim == Bicycle()
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS, ids=str)
