@@ -101,7 +101,7 @@ class _Observing:
         self._memory = self._observer.follow(self._parameters, self._memory, transition)
 
 
-def _starts(world: World, seeds: Sequence[int], episodes: int, uniform: Tensor) -> Tensor:
+def starts(world: World, seeds: Sequence[int], episodes: int, uniform: Tensor) -> Tensor:
     """Start states ``[S episodes, k]`` from uniforms ``[S episodes, u]``."""
     if not (isinstance(world.sim, Lasting) and world.sim.lasting):
         return world.initial(uniform)
@@ -122,7 +122,7 @@ def _run(
     streams = Streams(keys, world.uniforms, 0, world.dtype, world.device)
     finished: list[list[Episode]] = [[] for _ in seeds]
     with torch.inference_mode():
-        start = state = _starts(world, seeds, episodes, streams.at(0).uniform)
+        start = state = starts(world, seeds, episodes, streams.at(0).uniform)
         observation = world.observe(state)
         active = torch.ones(len(keys), dtype=torch.bool, device=world.device)
         clock = torch.zeros((), dtype=torch.int64, device=world.device)

@@ -20,7 +20,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from torch.utils.tensorboard.writer import SummaryWriter
 
-from edtorch.app.build import build_budget, build_policy, build_reward, build_sim
+from edtorch.app.build import build_budget, build_policy, build_reward, build_sim, changed_domain
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct
@@ -36,7 +36,7 @@ from edtorch.policies import LinearPolicy
 from edtorch.records import Budget, Episode
 from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoints, milestones
 from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
-from edtorch.rivals.base import Problem, Rival, Search
+from edtorch.rivals.base import Problem, Rival, Search, Storing
 from edtorch.rivals.ledger import FirstGoal
 from edtorch.rivals.runs import SLOTS, Runs, can_try, fresh_episodes
 from edtorch.world import World
@@ -78,8 +78,9 @@ def build_rival(config: DictConfig) -> RivalSetup:
     budget = build_budget(config.train)
     dtype = torch.float32 if config.compute.precision == "mixed" else torch.float64
     sim = build_sim(config.domain)
+    evaluated = build_sim(changed_domain(config.domain, config.eval.domain, "eval.domain"))
     with under("observation"):
-        world, calm = (World(s, dtype, unwrap=config.observation.unwrap) for s in (sim, sim))
+        world, calm = (World(s, dtype, unwrap=config.observation.unwrap) for s in (sim, evaluated))
     problem = Problem(
         world=world,
         policy=build_policy(config.policy, sim, dtype, config.seed),
@@ -267,7 +268,8 @@ def run_rival(
     finally:
         report.close()
     summary = _summary(setup, search, trials, cpu_s, time.monotonic() - began - trials.wall_s)
-    save_policy(folder / POLICY, search.parameters, _card(setup, search))
+    policies = search.stored if isinstance(search, Storing) else search.parameters
+    save_policy(folder / POLICY, policies, _card(setup, search))
     write_text(folder / SUMMARY, json_text(summary))
     console.print(summary_table(summary, title))
     for name, found in summary["milestones"].items():

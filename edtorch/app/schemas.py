@@ -15,7 +15,9 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
 from edtorch.rivals.adaptive_lqr import AdaptiveLqr
+from edtorch.rivals.fitted_q import FittedQ
 from edtorch.rivals.lqr import Lqr
+from edtorch.rivals.lspi import Lspi
 from edtorch.rivals.pegasus import Pegasus
 from edtorch.rivals.ppo import PPO
 from edtorch.rivals.reinforce import Reinforce
@@ -462,12 +464,14 @@ def _default(setting: Field[Any]) -> Any:
 
 
 RIVALS: dict[str, type] = {
-    "ppo": PPO,
-    "sac": SAC,
     "adaptive_lqr": AdaptiveLqr,
+    "fitted_q": FittedQ,
     "lqr": Lqr,
+    "lspi": Lspi,
     "pegasus": Pegasus,
+    "ppo": PPO,
     "reinforce": Reinforce,
+    "sac": SAC,
     "sarsa": Sarsa,
 }
 """Rivals with a search per seed: their options in ``conf/rival/``, and their settings."""

@@ -65,6 +65,16 @@ class Search(Protocol):
         ...
 
 
+@runtime_checkable
+class Storing(Protocol):
+    """A search whose parameters are only a reference to what its policies are made of."""
+
+    @property
+    def stored(self) -> Parameters:
+        """All that they are made of, to be saved instead."""
+        ...
+
+
 class Rival(Protocol):
     """The settings of a rival."""
 

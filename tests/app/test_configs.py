@@ -45,6 +45,8 @@ LEARNING = [
 # What makes a rival's piece of work a short one.
 SHORT = {
     "bicycle_adaptive_lqr": ("rival.piece=0.2",),
+    "bicycle_fitted_q": ("rival.episodes=3", "rival.iterations=1", "rival.trees=2"),
+    "bicycle_lspi": ("rival.episodes=[5]",),
     "bicycle_pegasus": ("rival.scenarios=2", "rival.lengths=2", "rival.horizon=1"),
     "bicycle_ppo": ("rival.steps=64", "rival.rollout=8", "rival.hidden=[8]"),
     "bicycle_reinforce": ("rival.batch=3", "rival.updates=2", "rival.horizon=1"),
