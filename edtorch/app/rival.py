@@ -57,6 +57,8 @@ class SearchSetup:
 
 def is_rival(config: DictConfig) -> bool:
     """Whether something else than the learner is asked for."""
+    if config.rival is None:
+        return False
     if not isinstance(config.rival, DictConfig):
         raise ConfigError(f"rival={config.rival}: expected a mapping with a _target_")
     return config.rival.get("_target_") is not None

@@ -518,7 +518,7 @@ class TrainConfig:
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     command: Any = None  # as in the runs of before there was such a group: free
     step: Any = MISSING
-    rival: Any = field(default_factory=RivalConfig)
+    rival: Any = None  # as in the runs of before there was such a group: none
     train: BudgetConfig = field(default_factory=BudgetConfig)
     eval: EvalConfig = field(default_factory=EvalConfig)
     compute: ComputeConfig = field(default_factory=ComputeConfig)

@@ -24,6 +24,8 @@ MAINS = {
     "edtorch-report": report.main,
 }
 MODULES = {"edtorch-train": "edtorch.app.train", "edtorch-eval": "edtorch.app.evaluate"}
+PATIENCE = 280
+"""Seconds until a process counts as hanging: it starts in a few, on a machine that is free."""
 QUICK = (
     "seeds=2",
     "train.seconds=3",
@@ -110,6 +112,12 @@ def start(workplace: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         if process.poll() is None:
             process.kill()
         process.communicate()
+
+
+@pytest.fixture(scope="session")
+def patience() -> float:
+    """Seconds to wait for a process."""
+    return PATIENCE
 
 
 @pytest.fixture

@@ -56,7 +56,10 @@ YAML = "_target_: my_package.cart.Cart\npush: 2.0\n"
 
 
 def test_own_domain(
-    start: Callable[..., subprocess.Popen[str]], workplace: Path, quick: tuple[str, ...]
+    start: Callable[..., subprocess.Popen[str]],
+    workplace: Path,
+    quick: tuple[str, ...],
+    patience: float,
 ) -> None:
     package = workplace / "src" / "my_package"
     package.mkdir(parents=True)
@@ -71,13 +74,13 @@ def test_own_domain(
     path = {"PYTHONPATH": str(workplace / "src")}
     good = start("edtorch-train", *arguments, **path)
     bad = start("edtorch-train", *arguments, "domain.push=-1", "hydra.run.dir=bad", **path)
-    _, err = good.communicate(timeout=120)
+    _, err = good.communicate(timeout=patience)
     assert good.returncode == 0, err
     status = json.loads((workplace / "run" / "status.json").read_text())
     assert status["status"] == "done"
-    _, err = bad.communicate(timeout=120)
+    _, err = bad.communicate(timeout=patience)
     assert err == "edtorch-train: domain.push=-1: expected a number > 0\n"
     evaluation = start("edtorch-eval", "run=run", "episodes=2", **path)
-    out, err = evaluation.communicate(timeout=120)
+    out, err = evaluation.communicate(timeout=patience)
     assert evaluation.returncode == 0, err
     assert "goal rate" in out

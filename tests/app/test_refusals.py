@@ -265,19 +265,21 @@ def test_eval_refuses_with_one_line(
     assert sorted(shelf.rglob("*")) == before
 
 
-def test_as_processes(start: Command, workplace: Path, quick: tuple[str, ...]) -> None:
+def test_as_processes(
+    start: Command, workplace: Path, quick: tuple[str, ...], patience: float
+) -> None:
     """The same from outside; with debug=true there is a traceback."""
     bad = (*quick, "noise.exploration=-1")
     plain = start("edtorch-train", *bad, "hydra.run.dir=plain/run")
     debug = start("edtorch-train", *bad, "hydra.run.dir=debug/run", "debug=true")
     eval_ = start("edtorch-eval", "run=nope")
-    _, err = plain.communicate(timeout=120)
+    _, err = plain.communicate(timeout=patience)
     assert plain.returncode == 1
     assert err == "edtorch-train: noise.exploration=-1.0: expected a number >= 0\n"
-    _, err = debug.communicate(timeout=120)
+    _, err = debug.communicate(timeout=patience)
     assert debug.returncode != 0
     assert "Traceback" in err and "noise.exploration=-1.0: expected a number >= 0" in err
-    out, err = eval_.communicate(timeout=120)
+    out, err = eval_.communicate(timeout=patience)
     assert eval_.returncode == 1
     assert (out, len(err.splitlines())) == ("", 1)
     assert list(workplace.iterdir()) == []

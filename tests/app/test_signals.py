@@ -25,8 +25,10 @@ from edtorch.interact import Training
 Start = Callable[..., subprocess.Popen[str]]
 
 
-def _wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
-    deadline = time.monotonic() + 120
+def _wait_for(
+    condition: Callable[[], bool], process: subprocess.Popen[str], patience: float
+) -> None:
+    deadline = time.monotonic() + patience
     while not condition():
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
@@ -34,7 +36,9 @@ def _wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> 
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signal_in_mid_run(start: Start, workplace: Path, number: signal.Signals) -> None:
+def test_signal_in_mid_run(
+    start: Start, workplace: Path, number: signal.Signals, patience: float
+) -> None:
     """Of several signals the first counts; nothing is left half written."""
     process = start(
         "edtorch-train",
@@ -46,11 +50,11 @@ def test_signal_in_mid_run(start: Start, workplace: Path, number: signal.Signals
     )
     folder = workplace / "run"
     metrics = folder / "metrics.csv"
-    _wait_for(lambda: metrics.exists() and metrics.read_text().count("\n") > 4, process)
+    _wait_for(lambda: metrics.exists() and metrics.read_text().count("\n") > 4, process, patience)
     for _ in range(1 if number == signal.SIGTERM else 4):
         process.send_signal(number)
         time.sleep(0.02)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=patience)
     assert process.returncode == 130
     assert err.splitlines()[-1] == f"edtorch-train: interrupted; saved in {folder}"
     assert "Traceback" not in err
