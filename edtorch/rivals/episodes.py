@@ -180,7 +180,7 @@ class Tile:
         self._advance: Advance | None = None
         actions, features = policy.weight.shape
         # The batch last in memory, everywhere: a component is one run of memory.
-        self._weight = _batch_last(slots, actions, features)
+        self._weight = _batch_last(slots, actions, features, dtype=policy.weight.dtype)
         self._key = _batch_last(slots, 2, dtype=torch.int64)
         start = world.initial(uniform(self._key, self._zeros(slots), world.uniforms))
         self._state = _batch_last(slots, start.shape[-1]).copy_(start)
@@ -207,7 +207,7 @@ class Tile:
         """Begin episodes in free slots: slot ``[F]``, weight ``[F, m, n]``, key ``[F, 2]``."""
         fresh = torch.zeros_like(self._busy)
         fresh[slot] = True
-        self._weight[slot] = weight
+        self._weight[slot] = weight.to(self._weight.dtype)
         self._key[slot] = key
         self._ticks[slot] = 0
         self._outcome[slot] = int(Outcome.RUNNING)

@@ -22,8 +22,8 @@ from sims.base import Lasting, Outcome
 
 SLOTS = 1024
 """Of a tile: as many as the processor's caches hold, with what a tick makes of them."""
-EAGER_TICKS = 20_000
-"""Of a tile, before it is compiled: about as long as compiling takes."""
+EAGER_TICKS = 5_000
+"""Of a tile, before it is compiled: about half as long as compiling takes, once it is cached."""
 
 
 @dataclass(frozen=True)

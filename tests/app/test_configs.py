@@ -233,7 +233,7 @@ def test_direct_schema(schema: type, constructor: Any, handed_in: set[str]) -> N
     names = {f.name for f in fields(schema)}
     assert _settable(constructor, handed_in) <= names
     rest = names - _settable(constructor, handed_in)
-    own = {"horizon", "path", "start", "start_deviation", "direction"}
+    own = {"horizon", "path", "start", "start_deviation", "direction", "until"}
     assert rest <= own | OF_THE_LEARNER
     assert "exploration" in _settable(Learner, set())
 

@@ -19,6 +19,7 @@ STATE = [[1.1, 0.3], [-0.2, 0.9]]
 ACTION = [[0.0], [0.5]]
 
 
+@pytest.mark.oracle
 def test_learns_the_system_and_its_regulator() -> None:
     sim = LinearSystem(STATE, ACTION, noise=0.005, dt=0.1, time_limit=5.0)
     asked = problem(sim, [1.0, 2.0], [0.3], [0, 1, 2])

@@ -29,6 +29,7 @@ from tests.rivals.problems import (
 SMALL = Pegasus(gradients=8, scenarios=10, horizon=100.0, longest=2.0)
 
 
+@pytest.mark.oracle
 def test_finds_the_best_gain() -> None:
     """Without noise the return is s_0^2 times a function of the gain, the same for all starts."""
     search = SMALL.begin(scalar())
@@ -43,11 +44,13 @@ def test_finds_the_best_gain() -> None:
     assert search.done == [True, True]
 
 
+@pytest.mark.oracle
 def test_differences_one_way_find_it_too() -> None:
     weight = search_for(dataclasses.replace(SMALL, central=False).begin(scalar()), 8)
     assert float((weight - best_gain(0.0)).abs().max()) < 0.1
 
 
+@pytest.mark.oracle
 def test_the_value_is_the_mean_return_of_the_scenarios() -> None:
     """With noise, over 4,000 scenarios: the expected sum of rewards, to three standard errors."""
     settings = dataclasses.replace(SMALL, scenarios=4000, gradients=1, lengths=1, longest=1e-9)

@@ -36,6 +36,7 @@ def _gradient(gain: float, noise: float) -> float:
     return total
 
 
+@pytest.mark.oracle
 def test_the_gradient_is_that_of_the_expected_reward() -> None:
     """The mean over 40 batches, with a baseline and without: to four standard errors."""
     problem = scalar(noise=0.1, seeds=range(40))
@@ -52,6 +53,7 @@ def test_the_gradient_is_that_of_the_expected_reward() -> None:
     assert spreads[1] < 0.8 * spreads[0]
 
 
+@pytest.mark.oracle
 def test_finds_the_best_gain() -> None:
     settings = Reinforce(
         batch=200, updates=10, deviation=0.3, alpha=0.3, beta=1.0, horizon=100.0, discount=0.99
@@ -60,19 +62,20 @@ def test_finds_the_best_gain() -> None:
     assert float((weight - best_gain(0.1)).abs().max()) < 0.15
 
 
+@pytest.mark.oracle
 def test_a_failure_costs() -> None:
     """One tick that fails where |a| > 1: with the zero policy that is of known probability, and the
     baseline learns what it costs, from whatever start."""
     sim = LinearSystem([[0.0]], [[1000.0]], noise=0.0, dt=1.0, time_limit=1.0)
-    settings = Reinforce(batch=40_000, updates=1, deviation=0.5, discount=0.9)
+    settings = Reinforce(batch=10_000, updates=1, deviation=0.5, discount=0.9)
     search = settings.begin(problem(sim, [1e-12], [1e-12], [0]))
     search.gradient([0], pause)
     share = math.erfc(1 / 0.5 / math.sqrt(2))
     account = search.accounts[0]
-    assert account.falls / account.episodes == pytest.approx(share, abs=0.005)
+    assert account.falls / account.episodes == pytest.approx(share, abs=0.01)
     cost = 20.0 * 0.9 / -math.log(0.9)
     # Four standard errors of the weight of s^2, whose standard deviation is .3.
-    error = 4 * cost * math.sqrt(share / 40_000) / 0.3
+    error = 4 * cost * math.sqrt(share / 10_000) / 0.3
     expected = torch.tensor([-cost * share, 0.0], dtype=torch.float64)
     torch.testing.assert_close(search.baseline[0], expected, atol=error, rtol=0)
 

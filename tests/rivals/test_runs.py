@@ -132,3 +132,18 @@ def test_what_can_be_tried_so() -> None:
     assert can_try(World(Bicycle()))
     assert not can_try(World(Bicycle(), unwrap=1.5))
     assert not can_try(World(Bicycle(spread=0.3)))
+
+
+@pytest.mark.oracle
+def test_single_precision_is_nearly_the_same() -> None:
+    """The zero policy, whose falls do not depend on what is observed: to the tick."""
+    ended = []
+    for dtype in (torch.float64, torch.float32):
+        world = World(Bicycle(time_limit=3.0), dtype)
+        policy = LinearPolicy(5, 2, Identity(5), dtype)
+        tally = Return(SparseReward(_reward()), DISCOUNT, world.dt)
+        runs = Runs(world, policy, wish="off", slots=6, tally=tally)
+        ended.append(runs(torch.zeros(6, 2, 5), _keys(6), pause))
+    double, single = ended
+    assert double.ticks.equal(single.ticks)
+    torch.testing.assert_close(double.sums[0], single.sums[0], rtol=1e-5, atol=0)
