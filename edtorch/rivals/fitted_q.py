@@ -40,7 +40,7 @@ class FittedQ(BatchSettings):
 
     episodes: recorded before anything is learned; iterations: of Q; rebuilt: the first so many
     build trees anew, and the rest keep the last trees' splits and renew the values at their leaves,
-    which makes them a contraction (section 4.4); null: all build; every: iterations between two
+    which makes them a contraction; null: all build; every: iterations between two
     policies to be tried; trees: of each regression; smallest: transitions that a node must hold to
     be split (n_min).  Each split is the best of one random cut of every input (K = all).
     """
