@@ -130,8 +130,8 @@ def lstdq(
     """Weights ``[k]`` of the value function of a policy.
 
     features ``[N, k]`` of (s, a), following ``[N, k]`` of (s', pi(s')), zero where nothing follows;
-    reward ``[N]``.  They solve (mean of f (f - discount f')' + ridge 1) w = mean of f r (LSTDQ,
-    LSTDQ, its sums divided by N).
+    reward ``[N]``.  They solve (mean of f (f - discount f')' + ridge 1) w = mean of f r
+    (LSTDQ, its sums divided by N).
     """
     matrix = features.T @ (features - discount * following) / len(features)
     matrix.diagonal().add_(ridge)
