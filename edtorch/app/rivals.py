@@ -161,7 +161,7 @@ class _Fresh:
         picked = {k: p[list(rows)] for k, p in self._search.parameters.items()}
         seeds = [self._setup.seeds[row] for row in rows]
         actor, calm = self._search.actor, self._setup.calm
-        if not (type(actor) is LinearPolicy and set(picked) == {"weight"} and can_try(calm)):
+        if not (isinstance(actor, LinearPolicy) and set(picked) == {"weight"} and can_try(calm)):
             return evaluate(actor, picked, calm, seeds, count)
         if self._runs is None:
             slots = min(SLOTS, len(self._setup.seeds) * self._setup.episodes)
@@ -174,9 +174,14 @@ def _paid(search: Search, cpu_s: Sequence[float], row: int) -> Paid:
     return Paid(account.seconds, account.episodes, account.falls, cpu_s[row])
 
 
-def _search(setup: RivalSetup, search: Search, trials: Trials, report: _Report) -> list[float]:
-    """Piece by piece to the end of every budget; CPU seconds that each seed took."""
-    cpu_s = [0.0] * len(setup.seeds)
+def _search(
+    setup: RivalSetup, search: Search, trials: Trials, report: _Report, begun_s: float
+) -> list[float]:
+    """Piece by piece to the end of every budget; CPU seconds that each seed took.
+
+    begun_s: those that all seeds have taken to begin, when a rival may have computed already.
+    """
+    cpu_s = [begun_s / len(setup.seeds)] * len(setup.seeds)
     count = 0
     while True:
         going = [
@@ -257,14 +262,16 @@ def run_rival(
 ) -> dict[str, Any]:
     """Search, write everything; returns the content of ``summary.json``."""
     title = f"{setup.problem.world.spec.name}, {setup.name}, {len(setup.seeds)} seeds"
+    began_cpu = time.process_time()
     with under("rival"):
         search = setup.rival.begin(setup.problem)
+    begun_s = time.process_time() - began_cpu
     report = _Report(setup, config, folder, stop, console)
     fresh = _Fresh(setup, search, report.pause)
     trials = Trials(len(setup.seeds), setup.episodes, fresh)
     began = time.monotonic()
     try:
-        cpu_s = _search(setup, search, trials, report)
+        cpu_s = _search(setup, search, trials, report, begun_s)
     finally:
         report.close()
     summary = _summary(setup, search, trials, cpu_s, time.monotonic() - began - trials.wall_s)

@@ -119,7 +119,7 @@ def test_experiment_of_a_rival_works_a_piece(name: str) -> None:
     short = ("seeds=2", "compute.compile=off", *SHORT.get(name, ()))
     setup = build_rival(_compose(f"experiment={name}", *short))
     begun = setup.rival.begin(setup.problem)
-    before = begun.parameters
+    before = {name: p.clone() for name, p in begun.parameters.items()}
     begun.advance([True, True], lambda: None)
     known = name == "bicycle_lqr"
     assert [account.seconds == 0 for account in begun.accounts] == [known, known]

@@ -55,6 +55,8 @@ def test_the_folder_is_complete(name: str, command: Command, workplace: Path) ->
     if name == "lqr":
         assert lived == [0.0, 0.0]
         assert summary["milestones"]["stable"]["seconds"]["max"] == 0
+        # It costs no experience, but Riccati's equation costs time.
+        assert summary["milestones"]["stable"]["cpu_s"]["min"] > 1e-4
     else:
         assert all(seconds > 0 for seconds in lived)
         last = [float(row["simulated_seconds"]) for row in rows[-2:]]
