@@ -22,9 +22,11 @@ from torch.utils.tensorboard.writer import SummaryWriter
 
 from edtorch.app.build import build_budget, build_policy, build_reward, build_sim, changed_domain
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.command import variant
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
+from edtorch.app.inverse import has_inverse
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
 from edtorch.app.summary import summary_table
@@ -72,6 +74,7 @@ def build_rival(config: DictConfig) -> RivalSetup:
     at_least("compute.threads", config.compute.threads, 1)
     at_least("eval.episodes", config.eval.episodes, 1)
     check_choices(config.compute)
+    _refuse_parts_of_learners(config)
     until = config.train.until
     if until is not None and until not in MILESTONES:
         raise ConfigError(f"train.until={until}: expected null or one of {', '.join(MILESTONES)}")
@@ -91,6 +94,24 @@ def build_rival(config: DictConfig) -> RivalSetup:
     rival = construct("rival", config.rival, "begin")
     name = str(config.rival._target_).rsplit(".", 1)[-1]
     return RivalSetup(name, rival, problem, calm, budget, until, config.eval.episodes)
+
+
+def _refuse_parts_of_learners(config: DictConfig) -> None:
+    """What would change nothing of a rival, and must not seem to."""
+    if variant(config.command) != "free":
+        raise ConfigError(
+            f"command={config.command.variant}: expected free with a rival, which sees all"
+        )
+    if config.observation.delay or config.observation.noise:
+        raise ConfigError(
+            f"observation.delay={config.observation.delay}, observation.noise="
+            f"{dict(config.observation.noise)}: expected 0 and nothing with a rival, which takes"
+            " readings for the state"
+        )
+    if has_inverse(config):
+        raise ConfigError(
+            f"inverse={config.inverse.variant}: expected none with a rival, whose policies act"
+        )
 
 
 class _Report:
