@@ -13,7 +13,7 @@ from typing import Any
 from omegaconf import MISSING, OmegaConf
 
 from edtorch.app.rundir import command_line, git_commit, json_text, versions
-from edtorch.app.schemas import SCHEMAS, TrainConfig
+from edtorch.app.schemas import BEFORE, SCHEMAS, TrainConfig
 from edtorch.checkpoint import write_text
 from edtorch.report import samples
 from edtorch.report.charts import WIDE
@@ -45,7 +45,12 @@ def defaults(settings: Settings) -> dict[str, Any]:
                 found |= own
     # A group that is null by default may be a whole group in this configuration.
     groups = {key.partition(".")[0] for key in settings if "." in key}
-    return {key: value for key, value in found.items() if key not in groups}
+    known = {key: value for key, value in found.items() if key not in groups}
+    for group, schema in BEFORE.items():
+        if group not in groups:
+            known.pop(group, None)
+            known |= {f"{group}.{key}": value for key, value in _leaves(schema).items()}
+    return known
 
 
 def _leaves(schema: type) -> dict[str, Any]:

@@ -605,6 +605,14 @@ class EvaluateConfig:
 SCALARS = frozenset(f.name for f in fields(TrainConfig) if f.type in ("int", "bool"))
 """Settings of ``edtorch-train`` outside of any group."""
 
+BEFORE: dict[str, type] = {
+    "inverse": NoInverseConfig,
+    "command": FreeCommandConfig,
+    "rival": RivalConfig,
+    "offline": NoOfflineConfig,
+}
+"""Groups that came later, and the option that the runs of before had in effect."""
+
 SCHEMAS: dict[str, dict[str, type]] = {
     "domain": {
         "bicycle_schema": BicycleConfig,
