@@ -43,7 +43,7 @@ class JointFilter:
     """The extended Kalman filter of state and weights together.
 
     model: linear in features that are the state and the action themselves, and perhaps a constant
-    (ValueError otherwise); noise ``[n]``: standard deviations of the readings' errors, scaled
+    (ValueError otherwise); deviations ``[n]``: standard deviations of the readings' errors, scaled
     units; prior: variance of each weight at first, in the model's units, squared; disturbance:
     standard deviation of what moves each component of the state beside the model, in scaled units
     per square root of a second, or per step.
@@ -54,7 +54,7 @@ class JointFilter:
     """
 
     model: Model
-    noise: Tensor
+    deviations: Tensor
     prior: float = 2.0
     disturbance: float = 0.02
 
@@ -84,7 +84,9 @@ class JointFilter:
 
     def first(self, reading: Tensor) -> Belief:
         """What the first reading ``[B, n]`` of an episode tells of the state."""
-        return Belief(reading, torch.diag(self.noise.square()).expand(*reading.shape, -1).clone())
+        return Belief(
+            reading, torch.diag(self.deviations.square()).expand(*reading.shape, -1).clone()
+        )
 
     def update(
         self,
@@ -189,7 +191,7 @@ class JointFilter:
         return spread + self.disturbance**2 * self.model.time_unit(dt) * eye
 
     def _innovation_cov(self, spread: Tensor) -> Tensor:
-        return spread + torch.diag(self.noise.square())
+        return spread + torch.diag(self.deviations.square())
 
     def _innovation(self, mean: Tensor, reading: Tensor) -> tuple[Tensor, Tensor]:
         """The mean, on the reading's turn of the circle where a component is an angle, and how far

@@ -36,7 +36,7 @@ from edtorch.app.inverse import (
     has_inverse,
     inverse_path,
 )
-from edtorch.app.observation import build_observer, build_reading_noise, check_unobserved
+from edtorch.app.observation import build_deviations, build_observer, check_unobserved
 from edtorch.checkpoint import PolicyCard
 from edtorch.closed_form.regulator import Regulator
 from edtorch.dispatch import Wish, choose_path
@@ -187,8 +187,8 @@ def _build_model(config: Any, world: World, dtype: torch.dtype, seed: int) -> Mo
 
 
 def _build_fit(config: DictConfig, world: World, model: Model) -> Fit | JointFilter:
-    noise = build_reading_noise(config.observation, world)
-    return construct("fit", config.fit, "initial", "update", model=model, noise=noise)
+    deviations = build_deviations(config.observation, world)
+    return construct("fit", config.fit, "initial", "update", model=model, deviations=deviations)
 
 
 def _build_noise(config: Any, fit: Fit | JointFilter, model: Model, stretch: float) -> Noise:

@@ -17,7 +17,7 @@ from edtorch.observer import Observer
 from edtorch.world import World
 
 
-def build_reading_noise(config: Any, world: World) -> Tensor:
+def build_deviations(config: Any, world: World) -> Tensor:
     """Standard deviations ``[n]`` of what is observed, scaled, from ``observation.noise``."""
     quantities = {q.name: q for q in world.spec.state}
     for name, deviation in config.noise.items():

@@ -178,7 +178,16 @@ OF_THE_LEARNER = {
     "trust_speed",
 }
 # From the domain, not from configuration; and what a transform says of itself.
-HANDED_IN = {"states", "actions", "period", "dtype", "stretch", "generator"}
+HANDED_IN = {
+    "states",
+    "actions",
+    "period",
+    "dtype",
+    "stretch",
+    "generator",
+    "model",
+    "deviations",
+}
 
 
 def _schema_fields(node: DictConfig) -> tuple[Field[Any], ...]:
