@@ -122,12 +122,13 @@ def test_fifteen_seconds_of_falls_teach_to_ride(recorded: Path, learned: Path) -
 
 @pytest.mark.experiment
 def test_its_policies_are_evaluated_and_reported_as_ever(
-    learned: Path, quick_command: Command
+    learned: Path, command: Command, workplace: Path
 ) -> None:
-    result = quick_command("edtorch-eval", f"run={learned}", "episodes=1")
+    result = command("edtorch-eval", f"run={learned}", "episodes=1")
     assert result.status == 0, result.err
-    result = quick_command("edtorch-report", str(learned))
+    result = command("edtorch-report", str(learned))
     assert result.status == 0, result.err
+    assert (workplace / "report" / "report.html").is_file()
 
 
 LINEAR = (
