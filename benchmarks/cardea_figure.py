@@ -7,39 +7,20 @@ Writes ``FILE.png`` and ``FILE.svg`` into ``FOLDER``.
 
 from __future__ import annotations
 
-import csv
 import sys
 from pathlib import Path
 
-from edtorch.records import Episode
+from benchmarks.episodes import episodes_of
 from edtorch.report.figures import save_figure
 from edtorch.report.reaching import PANELS, reaching_curve
-from sims.base import Outcome
-
-
-def episodes_of(folder: Path) -> tuple[list[Episode], int]:
-    """The finished episodes of a run, and how many learners it has."""
-    with (folder / "episodes.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    seeds = sorted({int(row["seed"]) for row in rows})
-    episodes = [
-        Episode(
-            row=seeds.index(int(row["seed"])),
-            number=int(row["episode"]),
-            start=float(row["start_s"]),
-            seconds=float(row["seconds"]),
-            outcome=Outcome[row["outcome"].upper()],
-            measures={name: float(row[name]) for name, _ in PANELS},
-        )
-        for row in rows
-    ]
-    return episodes, len(seeds)
 
 
 def main() -> None:
     folder, name, *given = sys.argv[1:]
     pairs = (argument.partition("=") for argument in given)
-    runs = {label: episodes_of(Path(path)) for label, _, path in pairs}
+    runs = {
+        label: episodes_of(Path(path), [name for name, _ in PANELS]) for label, _, path in pairs
+    }
     title = "Cardea: error and speed at the ends of the episodes, with 2 % torque noise"
     save_figure(reaching_curve(runs, title), Path(folder), name)
 

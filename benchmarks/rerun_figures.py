@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.cardea_figure import episodes_of as reaching_episodes
+from benchmarks.episodes import episodes_of
 from benchmarks.rerun_paper import FIGURE_2, FIGURE_3, Material
 from edtorch.app.build import build_actor, build_sim, policy_card
 from edtorch.app.rundir import POLICY, load_config
 from edtorch.app.schemas import register
 from edtorch.checkpoint import load_policy, policy_dtype
 from edtorch.evaluation import evaluate
-from edtorch.records import Episode
 from edtorch.report.figures import Ride, episode_lengths, one_ride, save_figure
-from edtorch.report.reaching import reaching_curve
+from edtorch.report.reaching import PANELS, reaching_curve
 from edtorch.report.runs import Run
 from edtorch.world import World
-from sims.base import Outcome
 
 STARTS = 1000
 """Of which the median of the shortest possible times is taken."""
@@ -34,7 +31,7 @@ def draw(material: Material, folder: Path) -> list[str]:
     for run in material.runs.get(FIGURE_2, []):
         drawn += _figure_2(run, folder)
     reaching = {
-        row.rpartition("/")[2]: reaching_episodes(run.path)
+        row.rpartition("/")[2]: episodes_of(run.path, [name for name, _ in PANELS])
         for row in FIGURE_3
         for run in material.runs.get(row, [])
     }
@@ -43,25 +40,6 @@ def draw(material: Material, folder: Path) -> list[str]:
         save_figure(reaching_curve(reaching, title), folder, "figure_3")
         drawn.append("figure_3")
     return drawn
-
-
-def _episodes(folder: Path) -> tuple[list[Episode], int]:
-    """The finished episodes of a run, and how many learners it has."""
-    with (folder / "episodes.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    seeds = sorted({int(row["seed"]) for row in rows})
-    episodes = [
-        Episode(
-            row=seeds.index(int(row["seed"])),
-            number=int(row["episode"]),
-            start=float(row["start_s"]),
-            seconds=float(row["seconds"]),
-            outcome=Outcome[row["outcome"].upper()],
-            measures={},
-        )
-        for row in rows
-    ]
-    return episodes, len(seeds)
 
 
 def _figure_2(run: Run, folder: Path) -> list[str]:
@@ -75,7 +53,7 @@ def _figure_2(run: Run, folder: Path) -> list[str]:
     policy, shapes = build_actor(config, world)
     parameters = load_policy(path, policy_card(sim, policy, run.seeds), shapes)
 
-    episodes, size = _episodes(run.path)
+    episodes, size = episodes_of(run.path)
     title = f"Figure 2, upper: {size} learners"
     upper = episode_lengths(episodes, size, title, shortest=_shortest(world))
     save_figure(upper, folder, "figure_2_upper")

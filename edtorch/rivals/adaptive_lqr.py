@@ -19,14 +19,12 @@ from torch import Tensor
 from edtorch.closed_form.lqr import doubled_lqr
 from edtorch.features import Identity
 from edtorch.fit import RecursiveLeastSquares
-from edtorch.learner import Actor
 from edtorch.models import DerivativeModel, matvec
 from edtorch.policies import explore
-from edtorch.rivals.base import Problem
-from edtorch.rivals.ledger import Account
+from edtorch.rivals.base import LinearSearch, Problem
 from edtorch.rivals.lqr import check_regulated
 from edtorch.streams import learning_streams
-from edtorch.types import Parameters, Transition, select
+from edtorch.types import Transition, select
 from sims.base import Outcome
 
 SECONDS_BETWEEN_PAUSES = 0.5
@@ -66,7 +64,7 @@ class AdaptiveLqr:
         return AdaptiveLqrSearch(self, problem)
 
 
-class AdaptiveLqrSearch:
+class AdaptiveLqrSearch(LinearSearch):
     """All seeds in lockstep; a piece of work is some seconds of riding.
 
     Seeds that are over stand still; those that go on have then lived for equally many ticks.
@@ -75,7 +73,8 @@ class AdaptiveLqrSearch:
     def __init__(self, settings: AdaptiveLqr, problem: Problem) -> None:
         world, count = problem.world, len(problem.seeds)
         n, m = len(world.spec.state), len(world.spec.action)
-        self._settings, self._world, self._policy = settings, world, problem.policy
+        super().__init__(problem)
+        self._settings, self._world = settings, world
         self._fit = settings.fit()
         self._model = DerivativeModel(n, m, Identity(n + m), period=world.period)
         self._streams = learning_streams(world, problem.seeds)
@@ -89,19 +88,8 @@ class AdaptiveLqrSearch:
         self._ticks = torch.zeros(count, dtype=torch.int64)
         self._model_weight = torch.zeros(count, n, n + m, dtype=torch.float64)
         self._memory = self._fit.initial(self._model_weight)
-        self._gain = torch.zeros(count, m, n, dtype=torch.float64)
+        self._weight = torch.zeros(count, m, n, dtype=torch.float64)
         self._lived = [0 for _ in problem.seeds]
-        self.accounts = [Account() for _ in problem.seeds]
-
-    @property
-    def actor(self) -> Actor:
-        """The policy, without exploration."""
-        return self._policy
-
-    @property
-    def parameters(self) -> Parameters:
-        """Weights ``[S, m, n]``: the gains of now."""
-        return {"weight": self._gain.to(self._policy.weight.dtype)}
 
     @property
     def model(self) -> Tensor:
@@ -128,7 +116,7 @@ class AdaptiveLqrSearch:
         world = self._world
         self._clock += 1
         draw = self._streams.at(self._clock)
-        action = matvec(self._gain.to(world.dtype), self._observation)
+        action = matvec(self._weight.to(world.dtype), self._observation)
         action = world.clip(explore(action, draw.normal, self._settings.exploration))
         moved = world.step(self._state, action, draw.uniform)
         seen = world.observe(moved, self._observation)
@@ -157,7 +145,7 @@ class AdaptiveLqrSearch:
         F = drift + torch.eye(n, dtype=drift.dtype)
         gain = doubled_lqr(F, G, *self._costs, doublings=self._settings.doublings)
         good = active & gain.isfinite().all(-1).all(-1)
-        self._gain = select(good, gain, self._gain)
+        self._weight = select(good, gain, self._weight)
 
     def _pay(self, active: Tensor, ended: Tensor, moved: Tensor) -> None:
         world = self._world

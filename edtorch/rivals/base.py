@@ -11,6 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from torch import Tensor
+
 from edtorch.compilation import Wish
 from edtorch.learner import Actor
 from edtorch.policies import LinearPolicy
@@ -63,6 +65,27 @@ class Search(Protocol):
         """A piece of work for each seed that is ``going``, as long as one likes policies to be
         tried after; ``pause`` is called every second or so, and what it raises ends the search."""
         ...
+
+
+class LinearSearch:
+    """What searches for a linear policy share: accounts, and ``_weight`` ``[S, ...]``."""
+
+    _weight: Tensor
+
+    def __init__(self, problem: Problem) -> None:
+        self._policy = problem.policy
+        self.accounts = [Account() for _ in problem.seeds]
+
+    @property
+    def actor(self) -> Actor:
+        """The policy, without exploration."""
+        return self._policy
+
+    @property
+    def parameters(self) -> Parameters:
+        """Weights ``[S, m, k]``, scaled."""
+        own = self._policy.weight
+        return {"weight": self._weight.reshape(-1, *own.shape).to(own.dtype, copy=True)}
 
 
 @runtime_checkable

@@ -17,12 +17,9 @@ from torch import Tensor
 
 from edtorch.closed_form.lqr import NotConverged, stationary_lqr
 from edtorch.features import Identity
-from edtorch.learner import Actor
 from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
-from edtorch.rivals.base import Problem
-from edtorch.rivals.ledger import Account
-from edtorch.types import Parameters
+from edtorch.rivals.base import LinearSearch, Problem
 from edtorch.world import World
 
 NEWTON_STEPS = 20
@@ -45,26 +42,15 @@ class Lqr:
         return LqrSearch(problem, theta)
 
 
-class LqrSearch:
+class LqrSearch(LinearSearch):
     """The same gain for every seed, known at once."""
 
     def __init__(self, problem: Problem, theta: Tensor) -> None:
         """theta ``[m, n]``, scaled."""
         count = len(problem.seeds)
-        self._policy = problem.policy
+        super().__init__(problem)
         self._weight = theta.to(problem.policy.weight.dtype).expand(count, -1, -1).contiguous()
         self._done = [False] * count
-        self.accounts = [Account() for _ in problem.seeds]
-
-    @property
-    def actor(self) -> Actor:
-        """The policy."""
-        return self._policy
-
-    @property
-    def parameters(self) -> Parameters:
-        """Weights ``[S, m, n]``."""
-        return {"weight": self._weight}
 
     @property
     def done(self) -> list[bool]:

@@ -27,12 +27,10 @@ import torch
 from torch import Tensor
 
 from edtorch.hashing import Use, hash_key
-from edtorch.learner import Actor
-from edtorch.rivals.base import Problem
-from edtorch.rivals.ledger import Account, pay
+from edtorch.rivals.base import LinearSearch, Problem
+from edtorch.rivals.ledger import pay
 from edtorch.rivals.returns import Return, SparseReward, charge, check_discount
 from edtorch.rivals.runs import SLOTS, Ended, Runs
-from edtorch.types import Parameters
 from sims.base import Outcome
 
 
@@ -73,11 +71,12 @@ class Pegasus:
         return PegasusSearch(self, problem)
 
 
-class PegasusSearch:
+class PegasusSearch(LinearSearch):
     """One search per seed; a piece of work is a gradient and a step along it."""
 
     def __init__(self, settings: Pegasus, problem: Problem) -> None:
-        self._settings, self._world, self._policy = settings, problem.world, problem.policy
+        super().__init__(problem)
+        self._settings, self._world = settings, problem.world
         self._limit = min(round(settings.horizon / problem.world.dt), problem.world.limit_ticks)
         self._runs = Runs(
             problem.world,
@@ -94,18 +93,6 @@ class PegasusSearch:
         self._value = [-math.inf for _ in problem.seeds]
         self._difference = [settings.difference for _ in problem.seeds]
         self._made = [0 for _ in problem.seeds]
-        self.accounts = [Account() for _ in problem.seeds]
-
-    @property
-    def actor(self) -> Actor:
-        """The policy."""
-        return self._policy
-
-    @property
-    def parameters(self) -> Parameters:
-        """Weights ``[S, m, n]``."""
-        shaped = self._weight.unflatten(-1, self._policy.weight.shape)
-        return {"weight": shaped.to(self._policy.weight.dtype)}
 
     @property
     def values(self) -> list[float]:

@@ -29,13 +29,11 @@ from torch import Tensor
 
 from edtorch.features import FeatureMap
 from edtorch.hashing import Use, hash_key
-from edtorch.learner import Actor
-from edtorch.rivals.base import Problem
+from edtorch.rivals.base import LinearSearch, Problem
 from edtorch.rivals.episodes import Moment
 from edtorch.rivals.ledger import Account, pay
 from edtorch.rivals.returns import SparseReward
 from edtorch.rivals.runs import SLOTS, Ended, Runs
-from edtorch.types import Parameters
 from sims.base import Outcome
 
 
@@ -122,12 +120,13 @@ class LikelihoodRatio:
         )
 
 
-class ReinforceSearch:
+class ReinforceSearch(LinearSearch):
     """One search per seed; a piece of work is a few steps."""
 
     def __init__(self, settings: Reinforce, problem: Problem) -> None:
         world, policy = problem.world, problem.policy
-        self._settings, self._world, self._policy = settings, world, policy
+        super().__init__(problem)
+        self._settings, self._world = settings, world
         self._limit = min(round(settings.horizon / world.dt), world.limit_ticks)
         self._tally = LikelihoodRatio(
             SparseReward(problem.reward),
@@ -154,17 +153,6 @@ class ReinforceSearch:
         )
         self._made = [0 for _ in self._seeds]
         self.accounts = [Account() for _ in self._seeds]
-
-    @property
-    def actor(self) -> Actor:
-        """The policy, without its noise."""
-        return self._policy
-
-    @property
-    def parameters(self) -> Parameters:
-        """Weights ``[S, m, k]``."""
-        shaped = self._weight.unflatten(-1, self._policy.weight.shape)
-        return {"weight": shaped.to(self._policy.weight.dtype)}
 
     @property
     def baseline(self) -> Tensor:

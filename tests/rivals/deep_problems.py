@@ -7,13 +7,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from edtorch.features import Identity
 from edtorch.learner import Actor
-from edtorch.policies import LinearPolicy
-from edtorch.rewards import QuadraticReward
 from edtorch.rivals.base import Problem, Search
-from edtorch.world import World
 from sims.linear import LinearSystem
+from tests.rivals.problems import problem
 
 PULL, COST = 0.8, 0.25
 """s' = PULL s + a, r = -(s'^2 + COST a^2), one step: the best action is -PULL / (1 + COST) s."""
@@ -25,17 +22,7 @@ def linear_problem(
 ) -> Problem:
     """One-dimensional, from starts in [-1, 1]."""
     sim = LinearSystem([[PULL]], [[1.0]], noise=noise, dt=dt, time_limit=ticks * dt)
-    return Problem(
-        world=World(sim),
-        policy=LinearPolicy(1, 1, Identity(1)),
-        reward=QuadraticReward(_one(1.0), _one(COST)),
-        seeds=seeds,
-        compile="off",
-    )
-
-
-def _one(number: float) -> Tensor:
-    return torch.tensor([[number]], dtype=torch.float64)
+    return problem(sim, [1.0], [COST], seeds)
 
 
 STARTS = torch.tensor([[-0.9], [-0.5], [0.0], [0.5], [0.9]], dtype=torch.float64)

@@ -12,6 +12,7 @@ from edtorch.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.base import Problem, Search
 from edtorch.world import World
+from sims.base import Sim
 from sims.linear import LinearSystem
 
 F, G = 1.05, 0.5
@@ -30,12 +31,12 @@ def scalar(noise: float = 0.0, seeds: Sequence[int] = (3, 4)) -> Problem:
 
 
 def problem(
-    sim: LinearSystem,
+    sim: Sim,
     state_cost: Sequence[float],
     action_cost: Sequence[float],
     seeds: Sequence[int],
 ) -> Problem:
-    """Of a linear system, with costs as diagonals."""
+    """With costs as diagonals."""
     costs = (torch.diag(torch.tensor(c, dtype=torch.float64)) for c in (state_cost, action_cost))
     n, m = len(state_cost), len(action_cost)
     return Problem(

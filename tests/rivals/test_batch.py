@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
-from edtorch.rivals.batch import BatchSettings, action_set, choices, collect, joined, rewards
+from edtorch.rivals.batch import (
+    BatchSettings,
+    Transitions,
+    action_set,
+    choices,
+    collect,
+    joined,
+    rewards,
+)
 from edtorch.rivals.ledger import Account
 from edtorch.world import World
 from sims.bicycle import Bicycle
@@ -15,7 +25,14 @@ from sims.linear import LinearSystem
 from tests.rivals.chain import ACTIONS, PLACES, Chain
 
 
-def _collect(world, actions, seed, episodes, steps, account=None):  # type: ignore[no-untyped-def]
+def _collect(
+    world: World,
+    actions: Tensor,
+    seed: int,
+    episodes: range,
+    steps: int | None,
+    account: Account | None = None,
+) -> Transitions:
     return collect(
         world,
         actions,
@@ -102,9 +119,9 @@ def test_rewards_are_sums_of_what_they_name() -> None:
     ],
     ids=str,
 )
-def test_refuses_impossible_settings(settings: dict[str, object], wanted: str) -> None:
+def test_refuses_impossible_settings(settings: dict[str, Any], wanted: str) -> None:
     with pytest.raises(ValueError, match=wanted):
-        BatchSettings(**settings)  # type: ignore[arg-type]
+        BatchSettings(**settings)
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
 from edtorch.rivals import fitted_q
-from edtorch.rivals.base import Problem, Storing
+from edtorch.rivals.base import Storing
 from edtorch.rivals.batch import rewards
 from edtorch.rivals.fitted_q import FittedQ, Iteration, grown
-from edtorch.world import World
 from tests.rivals.chain import ACTIONS, PLACES, Chain, every_transition, optimal_values
+from tests.rivals.problems import problem
 
 fitted_q.trees()  # imported before the tests, whose time it would count in
 
@@ -66,9 +68,8 @@ def test_a_forest_predicts_as_its_library_does() -> None:
     assert np.allclose(grown(regression).predict(fresh), regression.predict(fresh), rtol=1e-12)
 
 
-def _search(seeds: list[int]):  # type: ignore[no-untyped-def]
-    problem = Problem(World(Chain()), None, None, seeds, "off")  # type: ignore[arg-type]
-    search = SETTINGS.begin(problem)
+def _search(seeds: list[int]) -> fitted_q.FittedQSearch:
+    search = SETTINGS.begin(problem(Chain(), [0.0], [0.0], seeds))
     while not all(search.done):
         search.advance([not over for over in search.done], lambda: None)
     return search
@@ -120,9 +121,9 @@ def test_what_is_stored_is_the_policy() -> None:
     ],
     ids=str,
 )
-def test_refuses_impossible_settings(settings: dict[str, int], wanted: str) -> None:
+def test_refuses_impossible_settings(settings: dict[str, Any], wanted: str) -> None:
     with pytest.raises(ValueError, match=wanted):
-        FittedQ(**settings)  # type: ignore[arg-type]
+        FittedQ(**settings)
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from edtorch.rivals.base import Problem
-from edtorch.rivals.lspi import Lspi, lstdq, monomials
+from edtorch.rivals.lspi import Lspi, LspiSearch, lstdq, monomials
 from edtorch.world import World
 from sims.bicycle import Bicycle
 from tests.rivals.chain import ACTIONS, PLACES, Chain, optimal_values
+from tests.rivals.problems import problem
 from tests.systems import f64, normal
 
 
@@ -48,8 +49,10 @@ def test_lstdq_and_greedy_steps_find_the_gain_of_riccati() -> None:
     assert torch.allclose(gain, optimal, rtol=1e-6)
 
 
-def _search(world: World, seeds: list[int], settings: Lspi):  # type: ignore[no-untyped-def]
-    search = settings.begin(Problem(world, None, None, seeds, "off"))  # type: ignore[arg-type]
+def _search(world: World, seeds: list[int], settings: Lspi) -> LspiSearch:
+    spec = world.spec
+    asked = problem(world.sim, [0.0] * len(spec.state), [0.0] * len(spec.action), seeds)
+    search = settings.begin(asked)
     while not all(search.done):
         search.advance([not over for over in search.done], lambda: None)
     return search
@@ -106,9 +109,9 @@ def test_products_of_components_and_opposites() -> None:
     ],
     ids=str,
 )
-def test_refuses_impossible_settings(settings: dict[str, object], wanted: str) -> None:
+def test_refuses_impossible_settings(settings: dict[str, Any], wanted: str) -> None:
     with pytest.raises(ValueError, match=wanted):
-        Lspi(**settings)  # type: ignore[arg-type]
+        Lspi(**settings)
 
 
 def test_refuses_names_that_the_domain_has_not() -> None:
