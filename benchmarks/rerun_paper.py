@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import statistics
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from edtorch.report.comparison import Estimate, estimate
 from edtorch.report.document import median_cell, proportion, ranges
 from edtorch.report.groups import Group, places
 from edtorch.report.proportions import Proportion, holm, same_rate
-from edtorch.report.quantities import TITLES, TO_GOAL, TO_STABLE, Quantity, sample
+from edtorch.report.quantities import TITLES, TO_GOAL, TO_STABLE, Quantity, never_rode, sample
 from edtorch.report.runs import STATUS, Run, rates
 from edtorch.report.statistics import Spread
 from edtorch.report.tables import Table, as_markdown
@@ -191,9 +192,13 @@ def _first_gradient(material: Material) -> dict[str, Any] | None:
     return {"simulations": pooled["episodes"], "seconds": pooled["seconds"]}
 
 
+def _group(runs: Sequence[Run]) -> Group:
+    return Group("", "", {}, {}, tuple(runs), tuple(places(runs)))
+
+
 def estimates(runs: Sequence[Run]) -> dict[str, Estimate]:
     """Of every milestone of one row, by the name of the quantity."""
-    group = Group("", "", {}, {}, tuple(runs), tuple(places(runs)))
+    group = _group(runs)
     found: dict[str, Estimate] = {}
     for quantity in (*TO_STABLE, *TO_GOAL):
         own = sample(quantity, group)
@@ -246,6 +251,63 @@ def _line(
         key = quantity.path[-1].removesuffix("_length_m")
         cells += ["" if own is None else median_cell(own), str(theirs.get(key, ""))]
     return cells
+
+
+LEARNING = (
+    "Median [least, most] over the seeds that got there, exploration and learning going on; a ride"
+    " is an episode to the goal or to the time limit."
+)
+LEARNT = {
+    "ride": (("falls_before_first_ride",), "falls before the first ride"),
+    "goal": (("first_goal", "episodes"), "episodes up to the first to the goal"),
+    "seconds": (("first_goal", "seconds"), "that episode, s"),
+}
+"""What is published of episodes of learning: where it stands in a summary, and its title."""
+
+
+def learnt(material: Material, published: Mapping[str, Any]) -> dict[str, Any]:
+    """Of the methods of which that is published, each seed's; None for one that never got there."""
+    found: dict[str, Any] = {}
+    for row in material.methods:
+        name = row.rpartition("/")[2]
+        theirs = published.get(name, {}).get("learning")
+        if theirs is None or not material.runs[row]:
+            continue
+        group = _group(material.runs[row])
+        own = {key: group.per_seed(*path) for key, (path, _) in LEARNT.items()}
+        # Without a ride, what is told is all that was paid.
+        own["ride"] = [
+            None if never else falls
+            for falls, never in zip(own["ride"], never_rode(group), strict=True)
+        ]
+        found[name] = {"published": theirs, **own}
+    return found
+
+
+def _learnt_table(found: Mapping[str, Any]) -> Table:
+    header: tuple[str, ...] = ("method",)
+    for _, title in LEARNT.values():
+        header += (title, "published")
+    rows = []
+    for name, own in found.items():
+        cells = [name]
+        for key in LEARNT:
+            cells += [_seeds(own[key]), str(own["published"].get(key, ""))]
+        rows.append(tuple(cells))
+    return Table("While learning", header, tuple(rows))
+
+
+def _learnt_blocks(found: Mapping[str, Any]) -> list[str]:
+    return ["### While learning", LEARNING, as_markdown(_learnt_table(found))] if found else []
+
+
+def _seeds(values: Sequence[float | None]) -> str:
+    """Median [least, most] of those that got there, and how many did."""
+    there = [v for v in values if v is not None]
+    if not there:
+        return f"0 of {len(values)}"
+    middle, least, most = (f"{v:,.0f}" for v in (statistics.median(there), min(there), max(there)))
+    return f"{middle} [{least}, {most}], {len(there)} of {len(values)}"
 
 
 def _footnote_1_blocks(found: Mapping[str, Any] | None) -> list[str]:
@@ -388,6 +450,8 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
     first = footnote_1(material, published["footnote_1"])
     falls = zero_policy_falls(episodes=10 if quick else 500)
     second = footnote_2(material, published["footnote_2"], falls, weights=10)
+    rows = published["rows"]
+    learning = learnt(material, rows)
     cells = _cells(material)
     walls = [cell["wall_s"] for cell in cells.values() if cell["wall_s"] is not None]
     stable = estimates(list(material.runs.get(FIGURE_2, ()))).get(TO_STABLE[1].name)
@@ -399,7 +463,8 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
         "quick": quick,
         "footnote_1": first,
         "footnote_2": second,
-        "methods": _methods(material, published["rows"]),
+        "methods": _methods(material, rows),
+        "learning": learning,
         "cells": cells,
         "wall_s": math.fsum(walls),
         "figures": list(drawn),
@@ -410,7 +475,6 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
         "command": " ".join([COMMAND, *map(shlex.quote, sys.argv[1:])]),
     }
     write_text(folder / "paper.json", json_text(numbers))
-    rows = published["rows"]
     sources = [f"* {name}: {row['source']}" for name, row in rows.items()]
     blocks = [
         "# The paper, rerun",
@@ -426,6 +490,7 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
             f"### To {title}\n\n{as_markdown(methods_table(material, rows, name))}"
             for name, title in TITLES.items()
         ),
+        *_learnt_blocks(learning),
         "Sources of what is published:\n\n" + "\n".join(sources),
         "## Cells",
         as_markdown(_cells_table(cells)),

@@ -43,8 +43,8 @@ def test_the_folder_is_complete(folder: Path) -> None:
     assert summary["simulated_seconds"] == [3.0, 3.0]
     assert len(summary["checkpoints"]) == 2
     assert summary["first_goal"]["never"] == [0, 1]
-    # The article's 3,456 boxes and 20 of the angle to the goal; nine actions.
-    assert load_file(folder / "policy.safetensors")["table"].shape == (2, 3476, 9)
+    # The article's 3,456 boxes, and each in 20 directions to the goal; nine actions.
+    assert load_file(folder / "policy.safetensors")["table"].shape == (2, 21 * 3456, 9)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from benchmarks import rerun_paper
 from benchmarks.cells import BadCells, is_done, wanted
 from benchmarks.footnote_2 import Falls, zero_policy_falls
 from benchmarks.rerun import CELLS, QUICK_APART, Plan, read_plan
-from benchmarks.rerun_paper import PUBLISHED, Material, beside, estimates, footnote_1, write
+from benchmarks.rerun_paper import PUBLISHED, Material, beside, estimates, footnote_1, learnt, write
 from edtorch.report.proportions import Proportion
 from edtorch.report.runs import load
 from tests.app.conftest import environment
@@ -255,6 +255,30 @@ def test_what_is_not_there_is_said_and_not_invented(paper: tuple[str, Any], tmp_
     assert "* methods/bicycle_sarsa: not made yet, or failed" in text
     assert numbers["missing"]["figure_3"] == "no runs"
     assert "![Length of episode" in text and "figure_3.png" not in text
+
+
+def test_what_was_paid_while_learning(tmp_path: Path) -> None:
+    """Counted by hand; a seed that never got there is none of the median's."""
+    path = _rival(tmp_path / "s", [900.0, 950.0, 1000.0], [])
+    summary = json.loads((path / "summary.json").read_text())
+    goals = {"episodes": [2000, None, 4000], "seconds": [360.0, None, 2520.0]}
+    summary |= {
+        "falls_before_first_ride": {"per_seed": [1700, 1500, 1600]},
+        "never_rode": [2],
+        "first_goal": {key: {"per_seed": values} for key, values in goals.items()},
+    }
+    (path / "summary.json").write_text(json.dumps(summary))
+    runs = {"methods/bicycle_sarsa": [load(path)], "methods/bicycle_lqr": [load(path)]}
+    published = {"bicycle_sarsa": {"learning": {"goal": "4,200"}}, "bicycle_lqr": {}}
+    found = learnt(Material(runs, {}), published)
+    assert found == {
+        "bicycle_sarsa": {
+            "ride": [1700, 1500, None],
+            "goal": [2000, None, 4000],
+            "seconds": [360.0, None, 2520.0],
+            "published": {"goal": "4,200"},
+        }
+    }
 
 
 def test_the_footnotes_are_said_plainly(paper: tuple[str, Any]) -> None:
