@@ -28,6 +28,8 @@ WIDE, NARROW = 9.0, 3.7
 """Inches: of a page, and of a phone."""
 LOGARITHMIC = 20.0
 """Positive values that differ by more than this factor get a logarithmic axis."""
+DECADES = 4
+"""Where zero has a tick, at most so many others fit beside it."""
 
 
 @dataclass(frozen=True)
@@ -183,16 +185,32 @@ def _forest(comparison: Comparison, columns: Sequence[_Column], width: float) ->
     return figure
 
 
+def stretch(axes: Axes, values: Sequence[float]) -> None:
+    """A logarithmic axis for what differs by more than ``LOGARITHMIC``, linear from zero to the
+    least of the others where there are zeros."""
+    positive = [v for v in values if v > 0]
+    if not positive or min(values) < 0 or max(positive) / min(positive) <= LOGARITHMIC:
+        return
+    if len(positive) == len(values):
+        axes.set_xscale("log")
+    else:
+        least = 10.0 ** math.floor(math.log10(min(positive)))
+        axes.set_xscale("symlog", linthresh=least, linscale=0.5)
+        first, last = math.log10(least), math.ceil(math.log10(max(positive)))
+        apart = max(1, math.ceil((last - first) / DECADES))
+        axes.set_xticks([0, *10.0 ** np.arange(first, last + 1, apart)])
+    axes.xaxis.set_major_formatter("{x:g}")
+
+
 def _forest_panel(axes: Axes, column: _Column, labels: Sequence[str]) -> None:
     ends = [p.at_least for p in column.points.values() if math.isinf(p.value)]
     ends += [v for p in column.points.values() for v in (p.value, p.low, p.high)]
     known = [v for v in ends if math.isfinite(v)]
-    if not column.share and known and min(known) > 0 and max(known) / min(known) > LOGARITHMIC:
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
+    if not column.share:
+        stretch(axes, known)
     edge = max(known, default=1.0)
     # Room for the arrows of what lies beyond.
-    edge *= 1.25 if axes.get_xscale() == "log" else 1.08
+    edge *= 1.08 if axes.get_xscale() == "linear" else 1.25
     for y, label in enumerate(labels):
         point = column.points.get(label)
         if point is None:
@@ -254,10 +272,12 @@ def _same_axis(axes: Axes, quantity: Quantity, rows: Sequence[Row]) -> None:
     """All panels of a quantity can be compared."""
     found = [row.estimates[quantity.name].sample for row in rows if quantity.name in row.estimates]
     low, high = min(s.lived[0] for s in found), max(s.lived[-1] for s in found)
-    if low > 0 and high / low > LOGARITHMIC:
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
+    stretch(axes, [v for s in found for v in s.lived])
+    if axes.get_xscale() == "log":
         axes.set_xlim(low / 1.1, high * 1.1)
+    elif axes.get_xscale() == "symlog":
+        least = min(v for s in found for v in s.lived if v > 0)
+        axes.set_xlim(-least / 10, high * 1.5)
     else:
         margin = 0.04 * (high - low) or 0.5
         axes.set_xlim(low - margin, high + margin)

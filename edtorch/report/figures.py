@@ -117,11 +117,12 @@ def _lengths(axes, episodes: Sequence[Episode], rows: int, shortest: float | Non
     if best is not None:
         axes.axhline(best, linestyle="--", color="#333333", linewidth=1)
         axes.annotate(
-            f"shortest possible, {best:.0f} s",
-            (0.02, best),
+            f"shortest\npossible,\n{best:.0f} s",
+            (1, best),
             xycoords=("axes fraction", "data"),
-            xytext=(0, 4),
+            xytext=(5, 0),
             textcoords="offset points",
+            verticalalignment="center",
             fontsize=9,
         )
     if episodes:
