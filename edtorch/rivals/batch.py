@@ -20,7 +20,7 @@ from edtorch.hashing import Use, hash_key, uniform
 from edtorch.rivals.ledger import Account
 from edtorch.types import select
 from edtorch.world import World
-from sims.base import Outcome, Quantity, Spec
+from sims.base import Outcome, Spec
 
 BETWEEN_PAUSES = 64
 """Ticks between two looks at whether to stop."""
@@ -65,9 +65,10 @@ class BatchSettings:
 
     The reward of a transition is a sum, by name of components of the state, in physical units:
     reward_square: per unit by which the square of a component decreases; reward_size: by which its
-    absolute value does; reward_cosine: times the cosine of an angle (rad) afterwards, which is the
-    progress towards something far away in the direction 0, made at a steady speed; and
-    reward_failure where the episode ends by a failure.  Nothing is gained after an end.
+    absolute value does; reward_cosine: times the cosine of an angle (rad) afterwards, or of the
+    difference of two, ``one-other``, which is the progress towards something far away in the
+    direction 0, made at a steady speed; and reward_failure where the episode ends by a failure.
+    Nothing is gained after an end.
     """
 
     actions: Any = field(default_factory=list)  # a typed list would refuse whole numbers
@@ -159,9 +160,19 @@ def _weights(name: str, given: Mapping[str, float], spec: Spec) -> list[tuple[in
     return [(names.index(component), weight) for component, weight in given.items()]
 
 
-def _angle(name: str, weight: float, quantity: Quantity) -> None:
-    if quantity.unit != "rad":
-        raise ValueError(f"{name}.{quantity.name}={weight}: expected an angle in rad")
+def _angles(given: Mapping[str, float], spec: Spec) -> list[tuple[list[int], float]]:
+    """Places of the angle that each weight is for, and of the one subtracted from it, if any."""
+    angles = {q.name: place for place, q in enumerate(spec.state) if q.unit == "rad"}
+    found: list[tuple[list[int], float]] = []
+    for key, weight in given.items():
+        parts = key.split("-")
+        if len(parts) > 2 or not all(part in angles for part in parts):
+            raise ValueError(
+                f"reward_cosine.{key}={weight}: expected an angle in rad or one-other, of"
+                f" {', '.join(angles)}"
+            )
+        found.append(([angles[part] for part in parts], weight))
+    return found
 
 
 def rewards(settings: BatchSettings, spec: Spec, data: Transitions) -> Tensor:
@@ -175,9 +186,9 @@ def rewards(settings: BatchSettings, spec: Spec, data: Transitions) -> Tensor:
         total = total + weight * (before[:, place].square() - after[:, place].square())
     for place, weight in _weights("reward_size", settings.reward_size, spec):
         total = total + weight * (before[:, place].abs() - after[:, place].abs())
-    for place, weight in _weights("reward_cosine", settings.reward_cosine, spec):
-        _angle("reward_cosine", weight, spec.state[place])
-        total = total + weight * after[:, place].cos()
+    for places, weight in _angles(settings.reward_cosine, spec):
+        first, *subtracted = (after[:, place] for place in places)
+        total = total + weight * (first - sum(subtracted)).cos()
     return total
 
 

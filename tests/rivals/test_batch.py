@@ -24,6 +24,9 @@ from sims.bicycle import Bicycle
 from sims.linear import LinearSystem
 from tests.rivals.chain import ACTIONS, PLACES, Chain
 
+FRONT = 6
+"""Where in a bicycle's state the place of the front tyre is."""
+
 
 def _collect(
     world: World,
@@ -109,6 +112,45 @@ def test_rewards_are_sums_of_what_they_name() -> None:
         assert float(found[row]) == pytest.approx(expected, rel=1e-12)
 
 
+def test_progress_of_the_front_wheel_is_metres_gained() -> None:
+    """The cosine of the angle between the wheel's way and the goal, times the way, adds up to what
+    the distance shrinks by, whatever the handlebar does."""
+    sim, ticks = Bicycle(spread=0.0), 100
+    world = World(sim)
+    generator = torch.Generator().manual_seed(0)
+    uniform = torch.rand(ticks, 50, world.uniforms, dtype=torch.float64, generator=generator)
+    actions = action_set(BatchSettings(), world)
+    chosen = torch.randint(len(actions), (ticks, 50), generator=generator)
+    state = world.initial(uniform[0])
+    seen = world.observe(state)
+    speed = 10 / 3.6 * world.dt
+    keys = ("angle_to_goal-handlebar", "angle_to_goal")
+    wheel, frame = (BatchSettings(reward_cosine={key: speed}) for key in keys)
+    gained, by_wheel, by_frame = (torch.zeros(50, dtype=torch.float64) for _ in range(3))
+    for tick in range(ticks):
+        before, seen_before = state, seen
+        state = world.step(state, actions[chosen[tick]], uniform[tick])
+        seen = world.observe(state)
+        row = torch.zeros(50, dtype=torch.bool)
+        step = Transitions(
+            state=seen_before,
+            action=actions[chosen[tick]],
+            next_state=seen,
+            dt=torch.full((50,), world.dt),
+            episode=torch.arange(50),
+            terminated=row,
+            truncated=row,
+            failed=row,
+        )
+        by_wheel += rewards(wheel, world.spec, step)
+        by_frame += rewards(frame, world.spec, step)
+        far = [torch.hypot(1000 - s[:, FRONT], s[:, FRONT + 1]) for s in (before, state)]
+        gained += far[0] - far[1]
+    # Metres of 2.78; the sim's way bends within a tick.
+    assert gained.tolist() == pytest.approx(by_wheel.tolist(), abs=0.05)
+    assert float((gained - by_frame).abs().max()) > 0.2
+
+
 @pytest.mark.parametrize(
     ("settings", "wanted"),
     [
@@ -149,6 +191,10 @@ def test_rewards_of_unknown_components_are_refused() -> None:
     for settings, wanted in (
         (BatchSettings(reward_size={"lena": 1.0}), r"reward_size\.lena=1\.0: expected one of lean"),
         (BatchSettings(reward_cosine={"lean_rate": 1.0}), r"lean_rate=1\.0: expected an angle"),
+        (
+            BatchSettings(reward_cosine={"angle_to_goal-lean-lean": 1.0}),
+            r"angle_to_goal-lean-lean=1\.0: expected an angle in rad or one-other, of lean, ",
+        ),
     ):
         with pytest.raises(ValueError, match=wanted):
             rewards(settings, world.spec, data)
