@@ -27,7 +27,8 @@ from hydra.errors import HydraException
 from benchmarks import cells as making
 from benchmarks.cells import REPORT, BadCells, Cell, named, overrides
 from benchmarks.rerun_figures import draw
-from benchmarks.rerun_paper import Material, write
+from benchmarks.rerun_material import Material
+from benchmarks.rerun_paper import write
 from edtorch.report.runs import Run, load
 
 CELLS = Path(__file__).with_suffix(".yaml")

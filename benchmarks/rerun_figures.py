@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.episodes import episodes_of
-from benchmarks.rerun_paper import FIGURE_2, FIGURE_3, Material
+from benchmarks.rerun_material import FIGURE_2, FIGURE_3, Material
 from edtorch.app.build import build_actor, build_sim, policy_card
 from edtorch.app.rundir import POLICY, load_config
 from edtorch.app.schemas import register

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import shlex
-import statistics
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,22 +15,21 @@ import torch
 import yaml
 
 from benchmarks.footnote_2 import Falls, zero_policy_falls
+from benchmarks.rerun_material import FIGURE_2, Material
+from benchmarks.rerun_methods import blocks as blocks_of_methods
+from benchmarks.rerun_methods import estimates, learnt, methods
 from edtorch.app.rundir import git_commit, json_text, versions
 from edtorch.checkpoint import write_text
 from edtorch.report import samples
-from edtorch.report.comparison import Estimate, estimate
 from edtorch.report.document import median_cell, proportion, ranges
-from edtorch.report.groups import Group, places
 from edtorch.report.proportions import Proportion, holm, same_rate
-from edtorch.report.quantities import TITLES, TO_GOAL, TO_STABLE, Quantity, never_rode, sample
+from edtorch.report.quantities import TO_STABLE
 from edtorch.report.runs import STATUS, Run, rates
 from edtorch.report.statistics import Spread
 from edtorch.report.tables import Table, as_markdown
 
 PUBLISHED = Path(__file__).with_name("published.yaml")
 COMMAND = "python -m benchmarks.rerun"
-FIGURE_2 = "figure_2/bicycle_paper"
-FIGURE_3 = ("figure_3/cardea_paper", "figure_3/cardea")
 CONDITIONS = ("five_features", "six_features")
 SHARES = {"goal": "goal", "stable": "stable_not_to_the_goal"}
 """Of footnote 1: their names here and in the summary of a search."""
@@ -46,28 +44,6 @@ CAPTIONS = {
     "figure_3": "Cardea: error and speed of the joints and share of crashes at the ends of the"
     " episodes; medians and quartiles over the seeds",
 }
-
-
-@dataclass(frozen=True)
-class Material:
-    """runs: by row, ``TABLE/NAME``, those that there are; missing: by cell, why it is not there."""
-
-    runs: Mapping[str, Sequence[Run]]
-    missing: Mapping[str, str]
-
-    @property
-    def methods(self) -> list[str]:
-        """The rows of the table of methods."""
-        rows = [row for row in self.runs if row.startswith("methods/")]
-        return [FIGURE_2, *rows] if FIGURE_2 in self.runs else rows
-
-    def lost(self, row: str) -> dict[str, str]:
-        """Of a row, the cells that are not there."""
-        return {
-            title: why
-            for title, why in self.missing.items()
-            if title == row or title.startswith(f"{row}/")
-        }
 
 
 @dataclass(frozen=True)
@@ -192,124 +168,6 @@ def _first_gradient(material: Material) -> dict[str, Any] | None:
     return {"simulations": pooled["episodes"], "seconds": pooled["seconds"]}
 
 
-def _group(runs: Sequence[Run]) -> Group:
-    return Group("", "", {}, {}, tuple(runs), tuple(places(runs)))
-
-
-def estimates(runs: Sequence[Run]) -> dict[str, Estimate]:
-    """Of every milestone of one row, by the name of the quantity."""
-    group = _group(runs)
-    found: dict[str, Estimate] = {}
-    for quantity in (*TO_STABLE, *TO_GOAL):
-        own = sample(quantity, group)
-        if own is not None:
-            found[quantity.name] = estimate(quantity, own)
-    return found
-
-
-def _methods(material: Material, published: Mapping[str, Any]) -> dict[str, Any]:
-    rows: dict[str, Any] = {}
-    for row in material.methods:
-        runs, name = list(material.runs[row]), row.rpartition("/")[2]
-        found = estimates(runs)
-        rows[name] = {
-            "seeds": [seed for run in runs for seed in run.seeds],
-            "lost": material.lost(row),
-            "here": {key: one.as_json() for key, one in found.items()},
-            "published": published.get(name, {}),
-        }
-    return rows
-
-
-def methods_table(material: Material, published: Mapping[str, Any], milestone: str) -> Table:
-    """A line for each method: what was paid to a milestone, each figure beside the published."""
-    told = [q for q in (*TO_STABLE, *TO_GOAL) if q.milestone == milestone]
-    header = ("method", "seeds", "got there")
-    for quantity in told:
-        header += (quantity.brief, "published")
-    rows: list[tuple[str, ...]] = []
-    for row in material.methods:
-        name = row.rpartition("/")[2]
-        theirs = published.get(name, {}).get(milestone, {})
-        rows.append((name, *_line(material, row, told, theirs)))
-    return Table(f"To {TITLES[milestone]}", header, tuple(rows))
-
-
-def _line(
-    material: Material, row: str, told: Sequence[Quantity], theirs: Mapping[str, Any]
-) -> list[str]:
-    runs = list(material.runs[row])
-    found = estimates(runs)
-    size = sum(len(run.seeds) for run in runs)
-    some = next((found[q.name] for q in told if q.until_ride and q.name in found), None)
-    cells = [str(size) if runs else "missing"]
-    cells.append("" if some is None else f"{size - some.censored} of {size}")
-    if runs and some is None:
-        cells[1] = "no milestones in its summary"
-    for quantity in told:
-        own = found.get(quantity.name)
-        key = quantity.path[-1].removesuffix("_length_m")
-        cells += ["" if own is None else median_cell(own), str(theirs.get(key, ""))]
-    return cells
-
-
-LEARNING = (
-    "Median [least, most] over the seeds that got there, exploration and learning going on; a ride"
-    " is an episode to the goal or to the time limit."
-)
-LEARNT = {
-    "ride": (("falls_before_first_ride",), "falls before the first ride"),
-    "goal": (("first_goal", "episodes"), "episodes up to the first to the goal"),
-    "seconds": (("first_goal", "seconds"), "that episode, s"),
-}
-"""What is published of episodes of learning: where it stands in a summary, and its title."""
-
-
-def learnt(material: Material, published: Mapping[str, Any]) -> dict[str, Any]:
-    """Of the methods of which that is published, each seed's; None for one that never got there."""
-    found: dict[str, Any] = {}
-    for row in material.methods:
-        name = row.rpartition("/")[2]
-        theirs = published.get(name, {}).get("learning")
-        if theirs is None or not material.runs[row]:
-            continue
-        group = _group(material.runs[row])
-        own = {key: group.per_seed(*path) for key, (path, _) in LEARNT.items()}
-        # Without a ride, what is told is all that was paid.
-        own["ride"] = [
-            None if never else falls
-            for falls, never in zip(own["ride"], never_rode(group), strict=True)
-        ]
-        found[name] = {"published": theirs, **own}
-    return found
-
-
-def _learnt_table(found: Mapping[str, Any]) -> Table:
-    header: tuple[str, ...] = ("method",)
-    for _, title in LEARNT.values():
-        header += (title, "published")
-    rows = []
-    for name, own in found.items():
-        cells = [name]
-        for key in LEARNT:
-            cells += [_seeds(own[key]), str(own["published"].get(key, ""))]
-        rows.append(tuple(cells))
-    return Table("While learning", header, tuple(rows))
-
-
-def _learnt_blocks(found: Mapping[str, Any]) -> list[str]:
-    return ["### While learning", LEARNING, as_markdown(_learnt_table(found))] if found else []
-
-
-def _seeds(values: Sequence[float | None]) -> str:
-    """Median [least, most] of those that got there, and how many did."""
-    there = [v for v in values if v is not None]
-    if not there:
-        return f"0 of {len(values)}"
-    middle, least, most = (f"{v:,.0f}" for v in (statistics.median(there), min(there), max(there)))
-    return f"{middle} [{least}, {most}], {len(there)} of {len(values)}"
-
-
 def _footnote_1_blocks(found: Mapping[str, Any] | None) -> list[str]:
     if found is None:
         return ["Missing: see below."]
@@ -431,18 +289,6 @@ def _cells_table(cells: Mapping[str, Any]) -> Table:
     return Table("Cells", ("cell", "seeds", "min", "command"), tuple(rows))
 
 
-HOW = (
-    "Median over the seeds with its 95 % bootstrap interval"
-    f" ({samples.RESAMPLES:,} resamples of the seeds, each method at its own number of them). A"
-    " policy is tried in fresh episodes at checkpoints: stable if none of them is a fall, at the"
-    " goal if all end there; what was paid until then, trials not counted. Seeds that never got"
-    " there are censored; with more than a quarter of them only the Kaplan-Meier median is told"
-    " (KM; > 123: not reached, the median of what was paid). CPU seconds of a population in"
-    " lockstep are shared among its learners. Published: texts of the sources, empty where nothing"
-    " was; of the methods that learn from short recorded episodes these stand under falls."
-)
-
-
 def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool) -> None:
     """``paper.md`` and ``paper.json``."""
     published = yaml.safe_load(PUBLISHED.read_text(encoding="utf-8"))
@@ -463,7 +309,7 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
         "quick": quick,
         "footnote_1": first,
         "footnote_2": second,
-        "methods": _methods(material, rows),
+        "methods": methods(material, rows),
         "learning": learning,
         "cells": cells,
         "wall_s": math.fsum(walls),
@@ -475,7 +321,6 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
         "command": " ".join([COMMAND, *map(shlex.quote, sys.argv[1:])]),
     }
     write_text(folder / "paper.json", json_text(numbers))
-    sources = [f"* {name}: {row['source']}" for name, row in rows.items()]
     blocks = [
         "# The paper, rerun",
         *(["**A quick run: it shows that this works, and its figures mean nothing.**"] * quick),
@@ -485,13 +330,7 @@ def write(material: Material, folder: Path, drawn: Sequence[str], *, quick: bool
         "## Footnote 2: what a gradient costs",
         *_footnote_2_blocks(second, "missing" if stable is None else f"{median_cell(stable)} s"),
         "## Methods",
-        HOW,
-        *(
-            f"### To {title}\n\n{as_markdown(methods_table(material, rows, name))}"
-            for name, title in TITLES.items()
-        ),
-        *_learnt_blocks(learning),
-        "Sources of what is published:\n\n" + "\n".join(sources),
+        *blocks_of_methods(material, rows, learning),
         "## Cells",
         as_markdown(_cells_table(cells)),
         _time(walls),

@@ -17,7 +17,9 @@ from benchmarks import rerun_paper
 from benchmarks.cells import BadCells, is_done, wanted
 from benchmarks.footnote_2 import Falls, zero_policy_falls
 from benchmarks.rerun import CELLS, QUICK_APART, Plan, read_plan
-from benchmarks.rerun_paper import PUBLISHED, Material, beside, estimates, footnote_1, learnt, write
+from benchmarks.rerun_material import Material
+from benchmarks.rerun_methods import estimates, learnt
+from benchmarks.rerun_paper import PUBLISHED, beside, footnote_1, write
 from edtorch.report.proportions import Proportion
 from edtorch.report.runs import load
 from tests.app.conftest import environment
