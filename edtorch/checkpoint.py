@@ -120,17 +120,27 @@ def policy_dtype(path: Path) -> torch.dtype:
         raise FileProblem(f"{path}: not a saved policy ({error})") from error
 
 
+def saved_seeds(path: Path) -> list[int]:
+    """The seeds on the card of a saved policy; FileProblem if the file is none."""
+    return _card(path).seeds
+
+
+def _card(path: Path) -> PolicyCard:
+    try:
+        with safe_open(path, framework="pt") as file:
+            return PolicyCard(**json.loads(file.metadata()["edtorch"]))
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise FileProblem(f"{path}: not a saved policy ({error})") from error
+
+
 def load_policy(path: Path, expected: PolicyCard, shapes: dict[str, tuple[int, ...]]) -> Parameters:
     """Load what ``save_policy`` saved; ``expected`` has the seeds, ``shapes`` those of one policy.
 
     Raises FileProblem if the file is something else, or was made for another domain or policy.
     """
-    try:
-        with safe_open(path, framework="pt") as file:
-            card = PolicyCard(**json.loads(file.metadata()["edtorch"]))
-            tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise FileProblem(f"{path}: not a saved policy ({error})") from error
+    card = _card(path)
+    with safe_open(path, framework="pt") as file:
+        tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}
     for field in fields(PolicyCard):
         found, wanted = getattr(card, field.name), getattr(expected, field.name)
         if found != wanted:

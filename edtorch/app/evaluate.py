@@ -16,18 +16,13 @@ from rich.console import Console
 from rich.table import Table
 
 from edtorch.app import schemas
-from edtorch.app.build import (
-    build_actor,
-    build_frozen_observer,
-    build_sim,
-    changed_domain,
-    policy_card,
-)
+from edtorch.app.build import build_sim, changed_domain
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
+from edtorch.app.policies import acting_dtype, stored_policies
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
 from edtorch.app.signals import Stop
-from edtorch.checkpoint import load_policy, policy_dtype, write_text
+from edtorch.checkpoint import write_text
 from edtorch.evaluation import evaluate, evaluate_yardstick
 from edtorch.records import Episode
 from edtorch.report.statistics import evaluation_figures, goal_figures
@@ -114,16 +109,20 @@ def _evaluate(config: DictConfig) -> float:
             else ConfigError(f"policy={path}: no such file")
         )
     sim = build_sim(changed_domain(run_config.domain, config.domain, "domain"))
-    dtype = policy_dtype(path)
-    world = World(sim, dtype, unwrap=run_config.observation.unwrap)
-    policy, shapes = build_actor(run_config, world)
-    seeds = [run_config.seed + k for k in range(run_config.seeds)]
-    parameters = load_policy(path, policy_card(sim, policy, seeds), shapes)
+    world = World(sim, acting_dtype(run_config, path), unwrap=run_config.observation.unwrap)
+    stored = stored_policies(run_config, path, world)
+    seeds = stored.seeds
 
     began = time.monotonic()
     yardsticks = _yardsticks(config, world, seeds)
-    observer = build_frozen_observer(run_config, world)
-    episodes = evaluate(policy, parameters, world, seeds, config.episodes, observer=observer)
+    episodes = evaluate(
+        stored.actor,
+        stored.parameters,
+        world,
+        seeds,
+        config.episodes,
+        observer=stored.observer,
+    )
     reached = goal_figures(episodes) if world.spec.goal else {}
     result = {
         "run": str(folder),

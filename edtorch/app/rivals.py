@@ -42,6 +42,7 @@ from edtorch.rivals.base import Problem, Rival, Search, Storing
 from edtorch.rivals.ledger import FirstGoal
 from edtorch.rivals.runs import SLOTS, Runs, can_try, fresh_episodes
 from edtorch.world import World
+from sims.base import Spec
 
 SECONDS_BETWEEN_LINES = 10.0
 COLUMNS = ("simulated_seconds", "episodes", "falls", "rides", "cpu_s", "fall_rate", "goal_rate")
@@ -66,6 +67,11 @@ class RivalSetup:
         return list(self.problem.seeds)
 
 
+def rival_dtype(compute: Any) -> torch.dtype:
+    """Of its world."""
+    return torch.float32 if compute.precision == "mixed" else torch.float64
+
+
 def build_rival(config: DictConfig) -> RivalSetup:
     """Objects for a rival with a search per seed.  Raises ConfigError, which names the key."""
     check_keys(config)
@@ -79,7 +85,7 @@ def build_rival(config: DictConfig) -> RivalSetup:
     if until is not None and until not in MILESTONES:
         raise ConfigError(f"train.until={until}: expected null or one of {', '.join(MILESTONES)}")
     budget = build_budget(config.train)
-    dtype = torch.float32 if config.compute.precision == "mixed" else torch.float64
+    dtype = rival_dtype(config.compute)
     sim = build_sim(config.domain)
     evaluated = build_sim(changed_domain(config.domain, config.eval.domain, "eval.domain"))
     with under("observation"):
@@ -266,8 +272,8 @@ def _summary(
     }
 
 
-def _card(setup: RivalSetup, search: Search) -> PolicyCard:
-    spec = setup.problem.world.spec
+def rival_card(setup: RivalSetup, search: Search, spec: Spec) -> PolicyCard:
+    """What its policies are made for, of a world of this spec."""
     return PolicyCard(
         domain=spec.name,
         states=[q.name for q in spec.state],
@@ -296,8 +302,8 @@ def run_rival(
     finally:
         report.close()
     summary = _summary(setup, search, trials, cpu_s, time.monotonic() - began - trials.wall_s)
-    policies = search.stored if isinstance(search, Storing) else search.parameters
-    save_policy(folder / POLICY, policies, _card(setup, search))
+    policies = search.stored() if isinstance(search, Storing) else search.parameters
+    save_policy(folder / POLICY, policies, rival_card(setup, search, setup.problem.world.spec))
     write_text(folder / SUMMARY, json_text(summary))
     console.print(summary_table(summary, title))
     for name, found in summary["milestones"].items():

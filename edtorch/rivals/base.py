@@ -92,7 +92,6 @@ class LinearSearch:
 class Storing(Protocol):
     """A search whose parameters are only a reference to what its policies are made of."""
 
-    @property
     def stored(self) -> Parameters:
         """All that they are made of, to be saved instead."""
         ...

@@ -232,7 +232,6 @@ class FittedQSearch:
         """See ``Search``: which of the actor's forests."""
         return {"which": torch.arange(len(self._seeds))}
 
-    @property
     def stored(self) -> Parameters:
         """The forests themselves (``edtorch.rivals.base.Storing``): the nodes of all trees of all
         seeds one after the other, ``first`` ``[S, T]`` of each tree; left and right are counted

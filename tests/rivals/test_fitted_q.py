@@ -83,7 +83,7 @@ def test_the_search_walks_to_the_goal_and_a_seed_does_the_same_anywhere() -> Non
         assert acts.equal(ACTIONS[1].expand(PLACES, 1))
     assert both.accounts[1] == alone.accounts[0]
     assert isinstance(both, Storing)
-    whole, part = both.stored, alone.stored
+    whole, part = both.stored(), alone.stored()
     start = int(whole["first"][1, 0])
     for name in ("feature", "threshold", "children_left", "value"):
         assert whole[name][start:].equal(part[name]), name
@@ -92,7 +92,7 @@ def test_the_search_walks_to_the_goal_and_a_seed_does_the_same_anywhere() -> Non
 def test_what_is_stored_is_the_policy() -> None:
     """Walked by hand through the arrays that are saved: the same values."""
     search = _search([4])
-    stored = search.stored
+    stored = search.stored()
     forest = search._forests[0]
     assert forest is not None
     for place in range(PLACES):

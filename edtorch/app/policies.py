@@ -1,0 +1,72 @@
+"""The policies that a finished run left, ready to act."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig
+
+from edtorch.app.build import build_actor, build_frozen_observer, policy_card
+from edtorch.app.errors import ConfigError, under
+from edtorch.app.rival import is_rival, is_search
+from edtorch.app.rivals import build_rival, rival_card, rival_dtype
+from edtorch.checkpoint import FileProblem, load_policy, policy_dtype, saved_seeds
+from edtorch.learner import Actor
+from edtorch.observer import Observer
+from edtorch.rivals.base import Storing
+from edtorch.types import Parameters
+from edtorch.world import World
+
+
+@dataclass(frozen=True)
+class Policies:
+    """parameters: ``[S, ...]``, a policy per seed, or per number of a search; observer: what they
+    estimate the state with, None if they take what they observe for it."""
+
+    actor: Actor
+    parameters: Parameters
+    seeds: list[int]
+    observer: Observer | None = None
+
+
+def acting_dtype(config: DictConfig, path: Path) -> torch.dtype:
+    """The number type of the world in which the policies of the file ``path`` act."""
+    if is_rival(config) and not is_search(config):
+        # Networks have a type of their own.
+        return rival_dtype(config.compute)
+    return policy_dtype(path)
+
+
+def stored_policies(config: DictConfig, path: Path, world: World) -> Policies:
+    """Those in the file ``path`` of a run with this configuration, for a world of its domain.
+
+    Raises ConfigError, and FileProblem for the file.
+    """
+    if is_rival(config) and not is_search(config):
+        return _of_rival(config, path, world)
+    actor, shapes = build_actor(config, world)
+    # A search has one seed and any number of policies, which have numbers instead.
+    one_each = not is_rival(config)
+    seeds = [config.seed + k for k in range(config.seeds)] if one_each else saved_seeds(path)
+    if not seeds:
+        raise FileProblem(f"{path}: holds no policy; none of the search reached the goal")
+    card = policy_card(world.sim, actor, seeds)
+    observer = build_frozen_observer(config, world)
+    return Policies(actor, load_policy(path, card, shapes), seeds, observer)
+
+
+def _of_rival(config: DictConfig, path: Path, world: World) -> Policies:
+    """A search that has only begun has policies of the right shapes, and who acts by them."""
+    setup = build_rival(config)
+    with under("rival"):
+        search = setup.rival.begin(setup.problem)
+    if isinstance(search, Storing):
+        raise ConfigError(
+            f"rival={setup.name}: expected policies that are tensors of the same shape for every"
+            f" seed; what {path.name} holds of this one cannot be tried again"
+        )
+    shapes = {name: tuple(p.shape[1:]) for name, p in search.parameters.items()}
+    parameters = load_policy(path, rival_card(setup, search, world.spec), shapes)
+    return Policies(search.actor, parameters, setup.seeds)
