@@ -43,7 +43,7 @@ test-browser: $(VENV)/.dev browser  ## the tests of report.html in headless Chro
 	$(PYTEST) -m browser $(ARGS)
 
 test-paper: $(VENV)/.paper $(VENV)/.dev  ## the test of make paper quick=1, for every night
-	$(PYTEST) -m paper $(ARGS)
+	$(PYTEST) -m paper -o faulthandler_timeout=3600 $(ARGS)
 
 # A page is checked where it is read, and no wheel brings a browser: Debian's package does, for root.
 browser:
