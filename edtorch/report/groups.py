@@ -119,7 +119,7 @@ def sections(
             pools.setdefault(key, (settings, []))[1].append(run)
         pooled = [_pool(members, left_out) for _, members in pools.values()]
         every = [settings for settings, _ in pools.values()]
-        titles = [names[members[0].path] for members in pooled]
+        titles = _titles(pooled, names)
         differing = _differing(every)
         first = 0
         if baseline is not None:
@@ -252,6 +252,19 @@ def shown(key: str, value: Any) -> str:
         return f"{key}={value:g}"
     # As it is written in a configuration and on the command line.
     return f"{key}={json.dumps(value) if isinstance(value, bool | None) else value}"
+
+
+def _titles(pooled: Sequence[Sequence[Run]], names: Mapping[Path, str]) -> list[str]:
+    """Of each group: the folder that holds all of its runs, if it has several and no other group
+    has one there, else that of its first run."""
+    parents = [{run.path.parent for run in members} for members in pooled]
+    titles: list[str] = []
+    for members, own in zip(pooled, parents, strict=True):
+        name = names[members[0].path]
+        alone = len(own) == 1 and sum(bool(own & others) for others in parents) == 1
+        above = name.rpartition("/")[0]
+        titles.append(above if len(members) > 1 and alone and above else name)
+    return titles
 
 
 def _labels(

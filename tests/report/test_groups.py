@@ -45,6 +45,16 @@ def test_seeds_of_one_configuration_are_pooled(tmp_path: Path) -> None:
     assert group.per_seed("falls_before_first_ride") == [7, 8, 9, 5, 6]
 
 
+def test_a_folder_of_runs_gives_its_name_to_their_group(tmp_path: Path) -> None:
+    """Unless another group has a run in it as well."""
+    for seed in (0, 1):
+        learners(tmp_path / "apart" / f"seed_{seed}", [5], seed=seed)
+        learners(tmp_path / "mixed" / f"seed_{seed}", [5], seed=seed, step=_step(0.3))
+    learners(tmp_path / "mixed" / "other", [5], step=_step(0.2))
+    (section,), _ = _sections(tmp_path, by_folder=True)
+    assert _labels(section) == ["apart", "other", "mixed/seed_0"]
+
+
 class TestOverlap:
     def test_counted_once_and_named(self, tmp_path: Path) -> None:
         learners(tmp_path / "a", [5, 6, 7])
