@@ -9,9 +9,9 @@ from hydra import compose, initialize_config_module
 
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
-from edtorch.interact import Training
-from edtorch.streams import Purpose, Streams, stream_key
-from edtorch.tiles import Tiles
+from edtorch.compiled.tiles import Tiles
+from edtorch.run.random import Purpose, Streams, stream_key
+from edtorch.run.training import Training
 from edtorch.types import replace
 
 Array = np.ndarray[Any, Any]

@@ -24,8 +24,8 @@ from torch import Tensor
 from benchmarks.timing import Work, cpu_seconds, interleaved, print_table, write_json
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
-from edtorch.interact import Training
 from edtorch.inverse.learner import InverseLearner
+from edtorch.run.training import Training
 
 EACH_STEP = ("inverse.every=1", "inverse.recent=1")
 RUNS = {

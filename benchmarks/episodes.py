@@ -6,7 +6,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from edtorch.records import Episode
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 

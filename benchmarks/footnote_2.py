@@ -9,8 +9,8 @@ from typing import Any
 
 import torch
 
-from edtorch.evaluation import evaluate_yardstick
-from edtorch.world import World
+from edtorch.run.evaluation import evaluate_yardstick
+from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 from sims.bicycle import Bicycle
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from sims.bicycle import GOAL
-from sims.bicycle_physics import RANDLOV, WHEELBASE_TOLERANCE
+from sims.bicycle.physics import RANDLOV, WHEELBASE_TOLERANCE
 
 __all__ = ["GOAL", "WHEELBASE_TOLERANCE"]
 

@@ -271,7 +271,7 @@ def covariance_adjoint_last(
 class Population(NamedTuple):
     """Learners and their worlds, every array ``[B, ...]``; one of them where no B is said.
 
-    world ``[10]`` in the order of ``sims.bicycle_physics.STATE``, float64; observation ``[5]``,
+    world ``[10]`` in the order of ``sims.bicycle.physics.STATE``, float64; observation ``[5]``,
     weight ``[5, 7]``, theta ``[2, 5]`` and noise (per second, ``[5, 5]``, None without covariance)
     in the learner's precision; ticks of the episode, and counts of episodes.
     """

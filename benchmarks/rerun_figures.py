@@ -13,12 +13,12 @@ from benchmarks.rerun_material import FIGURE_2, FIGURE_3, Material
 from edtorch.app.build import build_actor, build_sim, policy_card
 from edtorch.app.rundir import POLICY, load_config
 from edtorch.app.schemas import register
-from edtorch.checkpoint import load_policy, policy_dtype
-from edtorch.evaluation import evaluate
 from edtorch.report.figures import Ride, episode_lengths, one_ride, save_figure
 from edtorch.report.reaching import PANELS, reaching_curve
 from edtorch.report.runs import Run
-from edtorch.world import World
+from edtorch.run.checkpoint import load_policy, policy_dtype
+from edtorch.run.evaluation import evaluate
+from edtorch.run.scaled_sim import World
 
 STARTS = 1000
 """Of which the median of the shortest possible times is taken."""

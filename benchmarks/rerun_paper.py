@@ -19,7 +19,6 @@ from benchmarks.rerun_material import FIGURE_2, Material
 from benchmarks.rerun_methods import blocks as blocks_of_methods
 from benchmarks.rerun_methods import estimates, learnt, methods
 from edtorch.app.rundir import git_commit, json_text, versions
-from edtorch.checkpoint import write_text
 from edtorch.report import samples
 from edtorch.report.document import median_cell, proportion, ranges
 from edtorch.report.proportions import Proportion, holm, same_rate
@@ -27,6 +26,7 @@ from edtorch.report.quantities import TO_STABLE
 from edtorch.report.runs import STATUS, Run, rates
 from edtorch.report.statistics import Spread
 from edtorch.report.tables import Table, as_markdown
+from edtorch.run.checkpoint import write_text
 
 PUBLISHED = Path(__file__).with_name("published.yaml")
 COMMAND = "python -m benchmarks.rerun"

@@ -18,9 +18,9 @@ from hydra import compose, initialize_config_module
 from benchmarks.timing import Work, interleaved, print_table, write_json
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
-from edtorch.interact import Training
-from edtorch.schedule import ALWAYS, Schedule
-from edtorch.tiles import Tiles
+from edtorch.compiled.tiles import Tiles
+from edtorch.learner.schedule import ALWAYS, Schedule
+from edtorch.run.training import Training
 from edtorch.types import replace
 
 BLOCK = 16

@@ -1,7 +1,7 @@
 """The peer of ``benchmarks/search.py``: footnote 1's bicycle as compiled scalar code.
 
 One episode after the other, everything in registers, with the equations of
-``sims.bicycle_physics`` and the numbers of ``edtorch.hashing``.
+``sims.bicycle.physics`` and the numbers of ``edtorch.run.hashing``.
 """
 
 from __future__ import annotations

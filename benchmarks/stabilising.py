@@ -22,10 +22,10 @@ from torch import Tensor
 from benchmarks.timing import print_table, write_json
 from edtorch.app import schemas
 from edtorch.app.build import build
-from edtorch.interact import Training
+from edtorch.run.training import Training
 from sims.base import spec_index
 from sims.bicycle import Bicycle
-from sims.bicycle_lqr import REDUCED, linearised
+from sims.bicycle.lqr import REDUCED, linearised
 
 HEADING = REDUCED.index("heading")
 

@@ -25,9 +25,9 @@ import torch
 
 from benchmarks.bicycle import compiled_training, draws, numbers, paper_setup, paper_training
 from benchmarks.timing import Work, interleaved, print_table, write_json
-from edtorch.interact import Training
-from edtorch.learner import AnyLearner, Learner
-from edtorch.unroll import ValuePath
+from edtorch.learner.learner import AnyLearner, Learner
+from edtorch.run.training import Training
+from edtorch.value.unroll import ValuePath
 
 BLOCK = 16
 WARM_UP = 300

@@ -33,7 +33,7 @@ from edtorch.transform import (
     point_belief,
 )
 from edtorch.types import Trajectory
-from edtorch.unroll import Horizon, propagate
+from edtorch.value.unroll import Horizon, propagate
 from tests.smooth_systems import SmoothSystem, Truth, coupled_monte_carlo, random_system
 
 QUANTITIES = ("mean", "cov", "reward", "value")

@@ -26,17 +26,17 @@ import torch
 from torch import Tensor
 
 from benchmarks.timing import Work, interleaved, print_table, write_json
-from edtorch.dispatch import MOST_RECURSIVE_STEPS, Choice, Wish, choose_path
-from edtorch.features import Identity
-from edtorch.innermost import first, stored
-from edtorch.models import DerivativeModel
-from edtorch.noise import ResidualNoise
-from edtorch.policies import LinearPolicy
-from edtorch.program import compile_graph
+from edtorch.compiled.innermost import first, stored
+from edtorch.compiled.program import compile_graph
+from edtorch.compiled.tiles import LARGEST_TILE, VECTOR
+from edtorch.model.features import Identity
+from edtorch.model.models import DerivativeModel
+from edtorch.model.noise import ResidualNoise
+from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
-from edtorch.tiles import LARGEST_TILE, VECTOR
 from edtorch.transform import FirstOrder, MeanOnly
-from edtorch.unroll import Horizon, ValuePath
+from edtorch.value.choose import MOST_RECURSIVE_STEPS, Choice, Wish, choose_path
+from edtorch.value.unroll import Horizon, ValuePath
 
 ACTIONS = {5: 2, 14: 5, 32: 10}
 """m by n: a bicycle, an arm, something larger."""
@@ -84,7 +84,7 @@ class Problem:
 
 
 def edtorch_rows(problem: Problem, memory: float) -> dict[str, Work]:
-    """The paths of edtorch that ``edtorch.dispatch`` offers."""
+    """The paths of edtorch that ``edtorch.value.choose`` offers."""
     size = problem.size
     dtype = getattr(torch, size.dtype)
     model = DerivativeModel(

@@ -21,8 +21,11 @@ Rewards are maximised; costs are negative rewards.  Everything takes a leading b
 population of learners is one more dimension.
 """
 
+import edtorch.renamed as _renamed
 import sims as _sims  # noqa: F401  # registers edtorch/Bicycle-v0 with Gymnasium
 from edtorch.types import Belief, LearnerState, Metrics, Trajectory, Transition
+
+_renamed.install()
 
 __version__ = "0.1.0"
 

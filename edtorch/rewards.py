@@ -16,7 +16,7 @@ class Reward(Protocol):
 
     Two optional attributes are read where they exist: ``smooth = False`` declares that r has no
     second derivatives everywhere, and is refused by transforms that take them; ``actions`` is the
-    m that r expects, for the checks of ``edtorch.checks``.
+    m that r expects, for the checks of ``edtorch.value.checks``.
     """
 
     def __call__(self, state: Tensor, action: Tensor) -> Tensor:

@@ -76,11 +76,11 @@ class LearnerState:
 
     model, policy: parameters with leading ``[B]``; fit: the estimator's own tensors;
     noise: the memory of the rule for nu~; limit: the bounds of what is seen of an observation, if
-    there are any (``edtorch.command``); step: the policy step rule's own tensors; seed ``[B]``
-    int64 and tick ``[B]`` int64 (together the state of the random stream, ``edtorch.streams``);
-    sound_ticks ``[B]`` int64: ticks before the first one whose numbers were not all finite;
-    observer: what is remembered of readings that are late or err, if they are
-    (``edtorch.observer``).
+    there are any (``edtorch.learner.limit``); step: the policy step rule's own tensors; seed
+    ``[B]`` int64 and tick ``[B]`` int64 (together the state of the random stream,
+    ``edtorch.run.random``); sound_ticks ``[B]`` int64: ticks before the first one whose numbers
+    were not all finite; observer: what is remembered of readings that are late or err, if they are
+    (``edtorch.learner.observer``).
     """
 
     model: Parameters
@@ -101,7 +101,8 @@ class Metrics:
 
     value: V~ before the step; gradient: |dV~/dtheta|; both None where the policy rested; error:
     mean over state components of |target - prediction| before the fit; finite ``[3, B]``: by place,
-    see ``edtorch.learner.Check``; first_floored: as in ``Trajectory``, None where nothing can be.
+    see ``edtorch.learner.learner.Check``; first_floored: as in ``Trajectory``, None where nothing
+    can be.
     """
 
     value: Tensor | None

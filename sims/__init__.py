@@ -8,7 +8,7 @@ import gymnasium
 
 for _id, _entry_point in {
     "edtorch/Bicycle-v0": "sims.gymnasium_env:BicycleEnv",
-    "edtorch/Cardea-v0": "sims.cardea_env:CardeaEnv",
+    "edtorch/Cardea-v0": "sims.cardea.env:CardeaEnv",
 }.items():
     if _id not in gymnasium.registry:
         gymnasium.register(_id, entry_point=_entry_point)

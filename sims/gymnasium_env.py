@@ -1,7 +1,7 @@
 """Any sim as a Gymnasium environment, and the bicycle among Gymnasium's own.
 
 ``import sims`` (or ``edtorch``) registers ``edtorch/Bicycle-v0`` (and ``edtorch/Cardea-v0``, see
-``sims.cardea_env``)::
+``sims.cardea.env``)::
 
     import gymnasium
     import edtorch
@@ -153,7 +153,7 @@ class BicycleEnv(SimEnv):
 
     The bicycle of J. Randløv and P. Alstrøm, "Learning to drive a bicycle using reinforcement
     learning and shaping", ICML 1998: it goes 10 km/h, and falls within two seconds if nothing is
-    done.  Physics and constants: ``sims.bicycle_physics``.
+    done.  Physics and constants: ``sims.bicycle.physics``.
 
     ## Observation Space
 

@@ -6,20 +6,20 @@ from collections.abc import Sequence
 
 import torch
 
-from edtorch.closed_form.regulator import Regulator
-from edtorch.features import Identity
-from edtorch.fit import Fit, RecursiveLeastSquares
-from edtorch.interact import Training
-from edtorch.learner import Learner
-from edtorch.policies import LinearPolicy
-from edtorch.recorder import Recorder
-from edtorch.records import Budget
+from edtorch.learner.learner import Learner
+from edtorch.learner.schedule import Schedule
+from edtorch.model.features import Identity
+from edtorch.model.fit import Fit, RecursiveLeastSquares
+from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.steps import FullStep
 from edtorch.rewards import QuadraticReward
-from edtorch.schedule import Schedule
-from edtorch.transitions import Recorded, gathered
-from edtorch.unroll import Horizon
-from edtorch.update import FullStep
-from edtorch.world import World
+from edtorch.run.episodes import Budget
+from edtorch.run.recorder import Recorder
+from edtorch.run.scaled_sim import World
+from edtorch.run.training import Training
+from edtorch.run.transitions_file import Recorded, gathered
+from edtorch.value.linear.regulator import Regulator
+from edtorch.value.unroll import Horizon
 from sims.linear import LinearSystem
 from tests.systems import f64, next_state_model
 

@@ -9,20 +9,20 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from edtorch.closed_form import LinearMeanOnly
-from edtorch.dispatch import Wish, choose_path
-from edtorch.features import FeatureMap, Identity
-from edtorch.fit import Fit, SquaredError
-from edtorch.interact import Training
-from edtorch.learner import Learner
-from edtorch.models import DerivativeModel, NextStateModel
-from edtorch.policies import LinearPolicy
-from edtorch.records import Budget
+from edtorch.learner.learner import Learner
+from edtorch.model.features import FeatureMap, Identity
+from edtorch.model.fit import Fit, SquaredError
+from edtorch.model.models import DerivativeModel, NextStateModel
+from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.steps import SaturatedStep
 from edtorch.rewards import QuadraticReward
+from edtorch.run.episodes import Budget
+from edtorch.run.scaled_sim import World
+from edtorch.run.training import Training
 from edtorch.transform import MeanOnly
-from edtorch.unroll import Generic, Horizon, ValueGradient
-from edtorch.update import SaturatedStep
-from edtorch.world import World
+from edtorch.value.choose import Wish, choose_path
+from edtorch.value.linear import LinearMeanOnly
+from edtorch.value.unroll import Generic, Horizon, ValueGradient
 from sims.base import Sim
 from sims.bicycle import Bicycle
 

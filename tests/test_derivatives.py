@@ -14,10 +14,10 @@ from edtorch.derivatives import (
     rowwise_jacobian,
     scalar_curvature,
 )
-from edtorch.features import FeatureMap, Identity, Pairwise
-from edtorch.loop import ClosedLoop
-from edtorch.models import DerivativeModel, NextStateModel
-from edtorch.policies import LinearPolicy, SquashedPolicy
+from edtorch.model.features import FeatureMap, Identity, Pairwise
+from edtorch.model.models import DerivativeModel, NextStateModel
+from edtorch.policy.policies import LinearPolicy, SquashedPolicy
+from edtorch.value.closed_loop import ClosedLoop
 from tests.systems import normal, random_cost
 
 

@@ -12,16 +12,9 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
-from edtorch.app.command import (
-    build_command,
-    build_exploration,
-    build_schedule,
-    check_start,
-    needs_noise,
-    variant,
-)
 from edtorch.app.compute import (
     Compute,
+    check_machine,
     check_memory,
     check_recording,
     plan,
@@ -36,26 +29,34 @@ from edtorch.app.inverse import (
     has_inverse,
     inverse_path,
 )
+from edtorch.app.limit import (
+    build_command,
+    build_exploration,
+    build_schedule,
+    check_start,
+    needs_noise,
+    variant,
+)
 from edtorch.app.observation import build_deviations, build_observer, check_unobserved
-from edtorch.checkpoint import PolicyCard
-from edtorch.closed_form.regulator import Regulator
-from edtorch.dispatch import Wish, choose_path
-from edtorch.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
-from edtorch.filtering import JointFilter
-from edtorch.fit import Fit
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.forward import distance_cost, tracking
-from edtorch.learner import AnyLearner, Learner
-from edtorch.models import DerivativeModel, Model
-from edtorch.noise import BayesianNoise, Noise
-from edtorch.observer import Observer
-from edtorch.policies import LinearPolicy
-from edtorch.records import Budget
+from edtorch.learner.filter import JointFilter
+from edtorch.learner.learner import AnyLearner, Learner
+from edtorch.learner.observer import Observer
+from edtorch.learner.schedule import Schedule
+from edtorch.model.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
+from edtorch.model.fit import Fit
+from edtorch.model.models import DerivativeModel, Model
+from edtorch.model.noise import BayesianNoise, Noise
+from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
-from edtorch.schedule import Schedule
-from edtorch.unroll import FromOrigin, Horizon
-from edtorch.value_error import ValueErrorIndicator
-from edtorch.world import World
+from edtorch.run.checkpoint import PolicyCard
+from edtorch.run.episodes import Budget
+from edtorch.run.scaled_sim import World
+from edtorch.value.choose import Wish, choose_path
+from edtorch.value.error_estimate import ValueErrorIndicator
+from edtorch.value.linear.regulator import Regulator
+from edtorch.value.unroll import FromOrigin, Horizon
 from sims.base import Quantity, Sim, Spec
 
 FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
@@ -434,6 +435,7 @@ def build(config: DictConfig) -> Setup:
                 f"{setup.path}"
             )
         setup = _assemble(config, sim, budget, uncompiled(compute, config.compute))
+    check_machine(compute)
     return setup
 
 

@@ -10,14 +10,14 @@ from typing import Any, get_args
 import torch
 
 from edtorch.app.errors import ConfigError
-from edtorch.compilation import CannotCompile, Wish, check_compiler
-from edtorch.filtering import JointFilter
+from edtorch.compiled.compilation import CannotCompile, Wish, check_compiler
 from edtorch.inverse.learner import InverseLearner
-from edtorch.learner import AnyLearner, Learner
-from edtorch.recorder import kept_bytes
-from edtorch.records import Budget
-from edtorch.streams import BLOCK
-from edtorch.world import World
+from edtorch.learner.filter import JointFilter
+from edtorch.learner.learner import AnyLearner, Learner
+from edtorch.run.episodes import Budget
+from edtorch.run.random import BLOCK
+from edtorch.run.recorder import kept_bytes
+from edtorch.run.scaled_sim import World
 
 PRECISIONS = ("auto", "float64", "mixed")
 
@@ -94,14 +94,23 @@ def plan(config: Any, budget: Budget, world: World, learners: int) -> Compute:
                 "compute.compile=on: expected a domain that can be compiled;"
                 f" {world.spec.name} does not say so of itself (traceable)"
             )
-        try:
-            check_compiler()
-        except CannotCompile as error:
-            raise ConfigError(f"compute.compile=on: {error}") from error
     single = config.precision == "mixed" or (config.precision == "auto" and compiled)
     after = config.compile_after if learners <= LARGEST_UNCOMPILED else 0
     dtype = torch.float32 if single else torch.float64
     return Compute(dtype, _device(config.device), compiled, required, after)
+
+
+def check_machine(compute: Compute) -> None:
+    """Refuse a run that has to be compiled where nothing can be; ConfigError.
+
+    Called when the configuration is known to be sound, so that what is wrong with it is said first
+    on every machine.
+    """
+    if compute.required:
+        try:
+            check_compiler()
+        except CannotCompile as error:
+            raise ConfigError(f"compute.compile=on: {error}") from error
 
 
 def uncompiled(compute: Compute, config: Any) -> Compute:

@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from edtorch.app.folders import Watch
 from edtorch.app.schemas import SCALARS
 from edtorch.app.signals import Interrupted
-from edtorch.checkpoint import FileProblem
+from edtorch.run.checkpoint import FileProblem
 
 
 class ConfigError(Exception):

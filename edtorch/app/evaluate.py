@@ -22,11 +22,11 @@ from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
 from edtorch.app.policies import acting_dtype, stored_policies
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
 from edtorch.app.signals import Stop
-from edtorch.checkpoint import write_text
-from edtorch.evaluation import evaluate, evaluate_yardstick
-from edtorch.records import Episode
 from edtorch.report.statistics import evaluation_figures, goal_figures
-from edtorch.world import World
+from edtorch.run.checkpoint import write_text
+from edtorch.run.episodes import Episode
+from edtorch.run.evaluation import evaluate, evaluate_yardstick
+from edtorch.run.scaled_sim import World
 from sims.base import Measured
 
 

@@ -9,15 +9,15 @@ from typing import Any
 
 from omegaconf import DictConfig
 
+from edtorch.app.best import Kept, better
 from edtorch.app.build import Setup
-from edtorch.app.keeping import Kept, better
 from edtorch.app.trials import Paid, Trials
-from edtorch.evaluation import evaluate
-from edtorch.interact import Training
-from edtorch.records import Episode
 from edtorch.report.milestones import MILESTONES, checkpoints, milestones
 from edtorch.report.quantities import MINUTES
 from edtorch.report.statistics import Spread, goal_figures
+from edtorch.run.episodes import Episode
+from edtorch.run.evaluation import evaluate
+from edtorch.run.training import Training
 from edtorch.types import Parameters
 
 

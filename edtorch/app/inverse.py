@@ -8,10 +8,9 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from edtorch.app.checks import at_least
-from edtorch.app.command import variant
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
-from edtorch.dispatch import Wish
+from edtorch.app.limit import variant
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import Coordinates, JointCoordinates
 from edtorch.inverse.features import FEATURES, InverseFeatures
@@ -21,9 +20,10 @@ from edtorch.inverse.layout import Layout
 from edtorch.inverse.learner import InverseLearner, Trust
 from edtorch.inverse.policy import InversePolicy
 from edtorch.inverse.unroll import InverseUnroll, InverseValue
-from edtorch.noise import Noise
+from edtorch.model.noise import Noise
 from edtorch.transform import FirstOrder, MeanOnly
-from edtorch.unroll import Horizon
+from edtorch.value.choose import Wish
+from edtorch.value.unroll import Horizon
 from sims.base import Jointed, Sim
 
 VARIANTS = ("none", "learned", "kinematic")

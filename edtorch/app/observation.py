@@ -9,12 +9,12 @@ from torch import Tensor
 
 from edtorch.app.checks import at_least
 from edtorch.app.errors import ConfigError, under
-from edtorch.delay import Delay
-from edtorch.filtering import JointFilter
-from edtorch.fit import Fit
-from edtorch.models import Model
-from edtorch.observer import Observer
-from edtorch.world import World
+from edtorch.learner.delay import Delay
+from edtorch.learner.filter import JointFilter
+from edtorch.learner.observer import Observer
+from edtorch.model.fit import Fit
+from edtorch.model.models import Model
+from edtorch.run.scaled_sim import World
 
 
 def build_deviations(config: Any, world: World) -> Tensor:

@@ -31,17 +31,17 @@ from edtorch.app.rundir import (
 )
 from edtorch.app.signals import Stop
 from edtorch.app.summary import Timing, broken, flat_settings, medians, summary_table
-from edtorch.checkpoint import save_policy, write_atomically, write_text
-from edtorch.evaluation import evaluate
-from edtorch.learner import Learner
-from edtorch.log import ConsoleSink, CsvSink, Sink, TensorBoardSink
-from edtorch.models import NextStateModel
-from edtorch.offline import Lessons, Offline, learn
-from edtorch.records import Episode
+from edtorch.errors import CovarianceFloored
+from edtorch.learner.learner import Learner
+from edtorch.model.models import NextStateModel
 from edtorch.report.milestones import checkpoint, milestones
 from edtorch.report.statistics import FirstRide, Spread, evaluation_figures, first_ride_figures
-from edtorch.transitions import Invalid, Recorded, joined, load_transitions
-from edtorch.trouble import CovarianceFloored
+from edtorch.run.checkpoint import save_policy, write_atomically, write_text
+from edtorch.run.episodes import Episode
+from edtorch.run.evaluation import evaluate
+from edtorch.run.log import ConsoleSink, CsvSink, Sink, TensorBoardSink
+from edtorch.run.offline import Lessons, Offline, learn
+from edtorch.run.transitions_file import Invalid, Recorded, joined, load_transitions
 from sims.base import Outcome
 
 logger = logging.getLogger("edtorch")

@@ -10,13 +10,13 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from edtorch.evaluation import evaluate
-from edtorch.interact import Training
-from edtorch.records import Episode
 from edtorch.report.animation import save_animation
 from edtorch.report.figures import Ride, learning_curve, save_figure
 from edtorch.report.reaching import reaching_curve
-from edtorch.world import World
+from edtorch.run.episodes import Episode
+from edtorch.run.evaluation import evaluate
+from edtorch.run.scaled_sim import World
+from edtorch.run.training import Training
 from sims.base import Pictured
 
 

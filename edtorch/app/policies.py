@@ -12,12 +12,12 @@ from edtorch.app.build import build_actor, build_frozen_observer, policy_card
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.rival import is_rival, is_search
 from edtorch.app.rivals import build_rival, rival_card, rival_dtype
-from edtorch.checkpoint import FileProblem, load_policy, policy_dtype, saved_seeds
-from edtorch.learner import Actor
-from edtorch.observer import Observer
+from edtorch.learner.learner import Actor
+from edtorch.learner.observer import Observer
 from edtorch.rivals.base import Storing
+from edtorch.run.checkpoint import FileProblem, load_policy, policy_dtype, saved_seeds
+from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
-from edtorch.world import World
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from omegaconf import MISSING, OmegaConf
 
 from edtorch.app.rundir import command_line, git_commit, json_text, versions
 from edtorch.app.schemas import BEFORE, SCHEMAS, TrainConfig
-from edtorch.checkpoint import write_text
 from edtorch.report import samples
 from edtorch.report.charts import WIDE
 from edtorch.report.comparison import Comparison, as_json, compare_all
@@ -25,6 +24,7 @@ from edtorch.report.html import html
 from edtorch.report.markdown import markdown
 from edtorch.report.runs import LeftOut, Settings, flat, load_all
 from edtorch.report.tables import as_text
+from edtorch.run.checkpoint import write_text
 
 NUMBERS, PAGE, TEXT = "report.json", "report.html", "report.md"
 KINDS = (".png", ".svg")

@@ -26,9 +26,8 @@ from edtorch.app.construct import construct, target_class
 from edtorch.app.errors import ConfigError
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
-from edtorch.checkpoint import save_policy, write_text
-from edtorch.compilation import Wish
-from edtorch.policies import LinearPolicy
+from edtorch.compiled.compilation import Wish
+from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import milestones
 from edtorch.report.proportions import Proportion
 from edtorch.rivals.random_search import (
@@ -38,7 +37,8 @@ from edtorch.rivals.random_search import (
     policy_weights,
     search,
 )
-from edtorch.world import World
+from edtorch.run.checkpoint import save_policy, write_text
+from edtorch.run.scaled_sim import World
 
 POLICIES = "policies.csv"
 

@@ -22,26 +22,26 @@ from torch.utils.tensorboard.writer import SummaryWriter
 
 from edtorch.app.build import build_budget, build_policy, build_reward, build_sim, changed_domain
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
-from edtorch.app.command import variant
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.inverse import has_inverse
+from edtorch.app.limit import variant
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
 from edtorch.app.summary import summary_table
 from edtorch.app.trials import Paid, Trials
-from edtorch.checkpoint import PolicyCard, save_policy, write_text
-from edtorch.evaluation import evaluate
-from edtorch.log import median
-from edtorch.policies import LinearPolicy
-from edtorch.records import Budget, Episode
+from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoints, milestones
 from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
 from edtorch.rivals.base import Problem, Rival, Search, Storing
 from edtorch.rivals.ledger import FirstGoal
 from edtorch.rivals.runs import SLOTS, Runs, can_try, fresh_episodes
-from edtorch.world import World
+from edtorch.run.checkpoint import PolicyCard, save_policy, write_text
+from edtorch.run.episodes import Budget, Episode
+from edtorch.run.evaluation import evaluate
+from edtorch.run.log import median
+from edtorch.run.scaled_sim import World
 from sims.base import Spec
 
 SECONDS_BETWEEN_LINES = 10.0

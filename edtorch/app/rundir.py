@@ -21,7 +21,7 @@ from yaml import YAMLError
 
 from edtorch.app.errors import ConfigError, no_such_folder
 from edtorch.app.schemas import TrainConfig
-from edtorch.checkpoint import FileProblem, write_text
+from edtorch.run.checkpoint import FileProblem, write_text
 
 CONFIG = "config.yaml"
 STATUS = "status.json"

@@ -84,9 +84,9 @@ class BicycleConfig:
 
 @dataclass
 class SlalomConfig(BicycleConfig):
-    """Gates instead of a goal; see ``sims.slalom.Slalom``."""
+    """Gates instead of a goal; see ``sims.bicycle.slalom.Slalom``."""
 
-    _target_: str = "sims.slalom.Slalom"
+    _target_: str = "sims.bicycle.slalom.Slalom"
     time_limit: float = 300.0
     start_heading_low: float = -math.pi / 2 - 0.2
     start_heading_high: float = -math.pi / 2 + 0.2
@@ -168,7 +168,7 @@ class ModelConfig:
 
 @dataclass
 class RateFitConfig:
-    """A gradient rule of ``edtorch.fit``."""
+    """A gradient rule of ``edtorch.model.fit``."""
 
     _target_: str = MISSING
     rate: float = MISSING
@@ -176,14 +176,14 @@ class RateFitConfig:
 
 @dataclass
 class NormalisedFitConfig(RateFitConfig):
-    """``edtorch.fit.NormalisedSquaredError``."""
+    """``edtorch.model.fit.NormalisedSquaredError``."""
 
     floor: float = 1e-3
 
 
 @dataclass
 class LeastSquaresConfig:
-    """``edtorch.fit.RecursiveLeastSquares``."""
+    """``edtorch.model.fit.RecursiveLeastSquares``."""
 
     _target_: str = MISSING
     prior: float = 1000.0
@@ -192,7 +192,7 @@ class LeastSquaresConfig:
 
 @dataclass
 class AdaptiveConfig:
-    """``edtorch.adaptive.AdaptiveLeastSquares``."""
+    """``edtorch.model.fit_adaptive.AdaptiveLeastSquares``."""
 
     _target_: str = MISSING
     prior: float = 1000.0
@@ -204,7 +204,7 @@ class AdaptiveConfig:
 
 @dataclass
 class FilteredConfig:
-    """``edtorch.filtering.JointFilter``."""
+    """``edtorch.learner.filter.JointFilter``."""
 
     _target_: str = MISSING
     prior: float = 2.0
@@ -213,7 +213,7 @@ class FilteredConfig:
 
 @dataclass
 class BayesianFitConfig:
-    """``edtorch.fit.BayesianLeastSquares``."""
+    """``edtorch.model.fit.BayesianLeastSquares``."""
 
     _target_: str = MISSING
     priors: int = 28
@@ -221,7 +221,7 @@ class BayesianFitConfig:
 
 @dataclass
 class RidgeConfig:
-    """``edtorch.ridge.Ridge``."""
+    """``edtorch.model.fit_ridge.Ridge``."""
 
     _target_: str = MISSING
     penalty: float = 0.01
@@ -232,7 +232,7 @@ class RidgeConfig:
 
 @dataclass
 class DecayingFitConfig:
-    """``edtorch.decay.DecayingFit`` of a gradient rule."""
+    """``edtorch.model.fit_decaying.DecayingFit`` of a gradient rule."""
 
     _target_: str = MISSING
     rule: RateFitConfig = field(default_factory=RateFitConfig)
@@ -329,7 +329,7 @@ class UnrollConfig:
     """horizon: steps; dt: seconds a step (derivative form); discount: per second, or per step;
     start: state, of the moment, or origin; start_deviation: scaled standard deviation of the belief
     that it starts from; direction: gradient, or regulator (Riccati's, with step=full); path: auto,
-    closed_form or generic; reading: figure or definition, see ``edtorch.unroll.Horizon``."""
+    closed_form or generic; reading: figure or definition, see ``edtorch.value.unroll.Horizon``."""
 
     horizon: int = 30
     dt: float = 0.051
@@ -375,7 +375,7 @@ class FreeCommandConfig:
 @dataclass
 class RampConfig:
     """variant: ramp or safe; component: of the state, by name; start, final: its bound for a
-    newborn learner and later, in its unit; decay: seconds; see ``edtorch.command``."""
+    newborn learner and later, in its unit; decay: seconds; see ``edtorch.learner.limit``."""
 
     variant: str = MISSING
     component: str = MISSING
@@ -400,14 +400,14 @@ class SafeConfig(RampConfig):
 
 @dataclass
 class FullStepConfig:
-    """``edtorch.update.FullStep``."""
+    """``edtorch.policy.steps.FullStep``."""
 
     _target_: str = MISSING
 
 
 @dataclass
 class SaturatedStepConfig:
-    """``edtorch.update.SaturatedStep``."""
+    """``edtorch.policy.steps.SaturatedStep``."""
 
     _target_: str = MISSING
     alpha: float = MISSING
@@ -416,14 +416,14 @@ class SaturatedStepConfig:
 
 @dataclass
 class DecayingStepConfig(SaturatedStepConfig):
-    """``edtorch.update.DecayingStep``."""
+    """``edtorch.policy.steps.DecayingStep``."""
 
     decay: float = MISSING
 
 
 @dataclass
 class PlainStepConfig:
-    """``edtorch.update.PlainStep``."""
+    """``edtorch.policy.steps.PlainStep``."""
 
     _target_: str = MISSING
     alpha: float = MISSING
@@ -487,10 +487,10 @@ class NoOfflineConfig:
 @dataclass
 class RecordedConfig:
     """variant: recorded; data: a file, a run's folder, or a list of them; share, order, passes,
-    within: see ``edtorch.offline.Lessons``, within by name; invalid: refuse or mask, see
-    ``edtorch.transitions``; improve: whether policies are improved while the transitions pass, as
-    the group schedule says; steps: improvements after that, at most; tolerance: share of a policy
-    that its last step is smaller than."""
+    within: see ``edtorch.run.offline.Lessons``, within by name; invalid: refuse or mask, see
+    ``edtorch.run.transitions_file``; improve: whether policies are improved while the transitions
+    pass, as the group schedule says; steps: improvements after that, at most; tolerance: share of
+    a policy that its last step is smaller than."""
 
     variant: str = MISSING
     data: Any = MISSING

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from edtorch.app.evaluations import Evaluations
 from edtorch.app.rundir import command_line, versions
-from edtorch.interact import Training
-from edtorch.learner import Check
+from edtorch.learner.learner import Check
 from edtorch.report.statistics import evaluation_figures, learning_figures
+from edtorch.run.training import Training
 from edtorch.types import LearnerState
 
 
@@ -51,7 +51,7 @@ class Learned(Protocol):
 
     @property
     def finite(self) -> Tensor:
-        """``[3, B]``: see ``edtorch.learner.Check``."""
+        """``[3, B]``: see ``edtorch.learner.learner.Check``."""
         ...
 
 

@@ -48,15 +48,15 @@ from edtorch.app.summary import (
     summarise,
     summary_table,
 )
-from edtorch.checkpoint import save_policy, save_training, write_text
-from edtorch.compilation import CannotCompile
-from edtorch.interact import Training
-from edtorch.learner import Learner
-from edtorch.log import ConsoleSink, CsvSink, Sink, StderrHandler, TensorBoardSink
-from edtorch.recorder import Recorder
-from edtorch.tiles import Tiles
-from edtorch.transitions import gathered, save_transitions
-from edtorch.trouble import CovarianceFloored
+from edtorch.compiled.compilation import CannotCompile
+from edtorch.compiled.tiles import Tiles
+from edtorch.errors import CovarianceFloored
+from edtorch.learner.learner import Learner
+from edtorch.run.checkpoint import save_policy, save_training, write_text
+from edtorch.run.log import ConsoleSink, CsvSink, Sink, StderrHandler, TensorBoardSink
+from edtorch.run.recorder import Recorder
+from edtorch.run.training import Training
+from edtorch.run.transitions_file import gathered, save_transitions
 
 logger = logging.getLogger("edtorch")
 

@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from edtorch.records import Episode
 from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoint
+from edtorch.run.episodes import Episode
 
 SCREENING = 2
 """Fresh episodes that a policy, unless it rode at its last trial, must end without a fall before it

@@ -20,7 +20,7 @@ from edtorch.bounds.path import Path
 from edtorch.bounds.result import ErrorBounds, Standing
 from edtorch.bounds.step import Errors, Remainders, StepNorms, StepRule, known, spectral
 from edtorch.bounds.theorems import reward_remainder
-from edtorch.unroll import Horizon
+from edtorch.value.unroll import Horizon
 
 
 def definition_weights(discount: float, steps: int) -> list[float]:

@@ -9,7 +9,7 @@ from torch import Tensor
 from edtorch.inverse.coordinates import Coordinates
 from edtorch.inverse.features import InverseFeatures
 from edtorch.inverse.policy import InversePolicy
-from edtorch.models import matvec
+from edtorch.linalg import matvec
 from edtorch.types import Parameters
 
 

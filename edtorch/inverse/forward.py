@@ -12,18 +12,18 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from edtorch.features import FeatureMap
 from edtorch.inverse.adjoint import Loop, adjoint
 from edtorch.inverse.features import ACCELERATION, Linear
 from edtorch.inverse.layout import Layout
 from edtorch.inverse.policy import InversePolicy
 from edtorch.inverse.unroll import by_theta, driven
-from edtorch.models import DerivativeModel, Model
-from edtorch.policies import LinearPolicy, SquashedPolicy
+from edtorch.model.features import FeatureMap
+from edtorch.model.models import DerivativeModel, Model
+from edtorch.policy.policies import LinearPolicy, SquashedPolicy
 from edtorch.rewards import QuadraticReward, Reward
 from edtorch.transform import MeanOnly, Transform
 from edtorch.types import Parameters
-from edtorch.unroll import Horizon, ValueGradient
+from edtorch.value.unroll import Horizon, ValueGradient
 from sims.base import Spec, spec_index
 
 
@@ -68,7 +68,8 @@ class Errors(FeatureMap):
 
 @dataclass(frozen=True)
 class Tracking:
-    """What ``edtorch.unroll.Generic`` gives for this model and policy, its adjoint written out.
+    """What ``edtorch.value.unroll.Generic`` gives for this model and policy, its adjoint written
+    out.
 
     The model is a ``DerivativeModel`` with ``Mechanical`` features, the policy linear in
     ``Errors``, squashed or not.  The reward is minus ``weight`` times the squared distance from the
@@ -114,7 +115,7 @@ class Tracking:
     def __call__(
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
-        """See ``edtorch.unroll.ValuePath``."""
+        """See ``edtorch.value.unroll.ValuePath``."""
         here, goal = (part.unsqueeze(-2) for part in self.layout.split(state))
         # ds/dt in physical units; an Euler step, as the model's own.
         rates = model["weight"][..., self._rows, :] * self.layout.scale.to(state).unsqueeze(-1)

@@ -16,12 +16,12 @@ from edtorch.inverse.unroll import check_horizon, check_weight, start_covariance
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import ConstantNoise, Transform
 from edtorch.types import Belief
-from edtorch.unroll import Horizon, ValueGradient, propagate
+from edtorch.value.unroll import Horizon, ValueGradient, propagate
 
 
 @dataclass(frozen=True)
 class GenericInverse:
-    """As ``edtorch.inverse.unroll.InverseUnroll``, by ``edtorch.unroll.propagate``.
+    """As ``edtorch.inverse.unroll.InverseUnroll``, by ``edtorch.value.unroll.propagate``.
 
     The state that is unrolled is (s, g), of which g is known and stays.
     """

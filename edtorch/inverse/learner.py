@@ -1,7 +1,7 @@
 """One tick of learning an inverse model and an inverse policy (section 5), as a pure function.
 
-The same walk as ``edtorch.learner``, with the same state and the same ``initial``, ``act`` and
-``step``; what is fitted and what is unrolled are others.
+The same walk as ``edtorch.learner.learner``, with the same state and the same ``initial``, ``act``
+and ``step``; what is fitted and what is unrolled are others.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from edtorch.fit import Fit, RecursiveLeastSquares
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import View
 from edtorch.inverse.loop import base_acceleration, base_regressor
 from edtorch.inverse.unroll import InverseValue, regressors
-from edtorch.noise import Noise
-from edtorch.policies import explore
+from edtorch.model.fit import Fit, RecursiveLeastSquares
+from edtorch.model.noise import Noise
+from edtorch.policy.policies import explore
+from edtorch.policy.steps import Step, gradient_norm
 from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
-from edtorch.update import Step, gradient_norm
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from edtorch.inverse.layout import Layout
-from edtorch.models import matvec
+from edtorch.linalg import matvec
 
 Form = Literal["error", "goal"]
 """How the goal enters the policy's features; see ``InversePolicy``."""

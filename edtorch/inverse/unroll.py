@@ -26,7 +26,7 @@ from torch import Tensor
 from edtorch.inverse.adjoint import Adjoint, Loop, adjoint
 from edtorch.inverse.covariance import adjoint_with_covariance
 from edtorch.inverse.policy import InversePolicy
-from edtorch.unroll import Horizon, ValueGradient
+from edtorch.value.unroll import Horizon, ValueGradient
 
 
 def driven(policy: InversePolicy, theta: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:

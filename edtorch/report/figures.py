@@ -12,8 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from edtorch.checkpoint import write_atomically
-from edtorch.records import Episode
+from edtorch.run.checkpoint import write_atomically
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 MARKS = {

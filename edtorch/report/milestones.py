@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from edtorch.records import Episode
 from edtorch.report.statistics import Spread
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 

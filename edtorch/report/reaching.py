@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from edtorch.records import Episode
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 PANELS = (("joint_error_rad", "error of the joints, rad"), ("joint_speed_rad_s", "speed, rad/s"))

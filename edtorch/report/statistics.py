@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from edtorch.records import Episode
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 

@@ -16,15 +16,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.closed_form.lqr import doubled_lqr
-from edtorch.features import Identity
-from edtorch.fit import RecursiveLeastSquares
-from edtorch.models import DerivativeModel, matvec
-from edtorch.policies import explore
+from edtorch.linalg import matvec
+from edtorch.model.features import Identity
+from edtorch.model.fit import RecursiveLeastSquares
+from edtorch.model.models import DerivativeModel
+from edtorch.policy.policies import explore
 from edtorch.rivals.base import LinearSearch, Problem
 from edtorch.rivals.lqr import check_regulated
-from edtorch.streams import learning_streams
+from edtorch.run.random import learning_streams
 from edtorch.types import Transition, select
+from edtorch.value.linear.lqr import doubled_lqr
 from sims.base import Outcome
 
 SECONDS_BETWEEN_PAUSES = 0.5
@@ -33,9 +34,9 @@ SECONDS_BETWEEN_PAUSES = 0.5
 @dataclass(frozen=True)
 class AdaptiveLqr:
     """exploration: standard deviation of what is added to the actions, scaled; prior, forgetting:
-    of the least squares (``edtorch.fit.RecursiveLeastSquares``); doublings: the horizon is 2 to
-    this power, in ticks; piece: simulated seconds from one checkpoint to the next.  The costs are
-    those of the shaping reward, which must cost every action."""
+    of the least squares (``edtorch.model.fit.RecursiveLeastSquares``); doublings: the horizon is 2
+    to this power, in ticks; piece: simulated seconds from one checkpoint to the next.  The costs
+    are those of the shaping reward, which must cost every action."""
 
     exploration: float = 0.05
     prior: float = 1000.0

@@ -13,13 +13,13 @@ from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
-from edtorch.compilation import Wish
-from edtorch.learner import Actor
-from edtorch.policies import LinearPolicy
+from edtorch.compiled.compilation import Wish
+from edtorch.learner.learner import Actor
+from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.ledger import Account
+from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
-from edtorch.world import World
 
 
 @dataclass(frozen=True)

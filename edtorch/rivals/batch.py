@@ -15,11 +15,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from edtorch.evaluation import starts
-from edtorch.hashing import Use, hash_key, uniform
 from edtorch.rivals.ledger import Account
+from edtorch.run.evaluation import starts
+from edtorch.run.hashing import Use, hash_key, uniform
+from edtorch.run.scaled_sim import World
 from edtorch.types import select
-from edtorch.world import World
 from sims.base import Outcome, Spec
 
 BETWEEN_PAUSES = 64
@@ -28,7 +28,7 @@ BETWEEN_PAUSES = 64
 
 @dataclass(frozen=True)
 class Transitions:
-    """N transitions, ordered by episode and in it by time; all scaled (``edtorch.world``).
+    """N transitions, ordered by episode and in it by time; all scaled (``edtorch.run.scaled_sim``).
 
     state ``[N, n]``, action ``[N, m]``, next_state ``[N, n]``, dt ``[N]`` (s), episode ``[N]``
     int64; terminated ``[N]``: the world ended the episode here; failed ``[N]``: and by a failure;

@@ -2,8 +2,8 @@
 
 A tile holds one episode per slot and advances all of them together, without a look at the result;
 every few dozen ticks the host looks, takes the finished episodes out and puts new ones in.  What an
-episode does depends on its key alone (``edtorch.hashing``): not on its slot, not on the size of the
-tile, not on when it began.
+episode does depends on its key alone (``edtorch.run.hashing``): not on its slot, not on the size
+of the tile, not on when it began.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import torch
 from torch import Tensor
 from torch._higher_order_ops.scan import scan
 
-from edtorch.compilation import Wish, compiled
-from edtorch.hashing import normals, uniform
-from edtorch.policies import LinearPolicy, explore
+from edtorch.compiled.compilation import Wish, compiled
+from edtorch.policy.policies import LinearPolicy, explore
+from edtorch.run.hashing import normals, uniform
+from edtorch.run.scaled_sim import World
 from edtorch.types import select
-from edtorch.world import World
 from sims.base import Outcome
 
 IDLE = int(Outcome.TIMED_OUT)

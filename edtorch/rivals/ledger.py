@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from edtorch.records import RIDES, Budget
 from edtorch.report.statistics import FirstRide
-from edtorch.world import World
+from edtorch.run.episodes import RIDES, Budget
+from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 
 

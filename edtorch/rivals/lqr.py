@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.closed_form.lqr import NotConverged, stationary_lqr
-from edtorch.features import Identity
-from edtorch.policies import LinearPolicy
+from edtorch.model.features import Identity
+from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.base import LinearSearch, Problem
-from edtorch.world import World
+from edtorch.run.scaled_sim import World
+from edtorch.value.linear.lqr import NotConverged, stationary_lqr
 
 NEWTON_STEPS = 20
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from edtorch.features import FeatureMap
-from edtorch.models import matvec
+from edtorch.linalg import matvec
+from edtorch.model.features import FeatureMap
 from edtorch.rivals.base import Problem
 from edtorch.rivals.batch import (
     BatchSettings,

@@ -26,11 +26,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.hashing import Use, hash_key
 from edtorch.rivals.base import LinearSearch, Problem
 from edtorch.rivals.ledger import pay
 from edtorch.rivals.returns import Return, SparseReward, charge, check_discount
 from edtorch.rivals.runs import SLOTS, Ended, Runs
+from edtorch.run.hashing import Use, hash_key
 from sims.base import Outcome
 
 

@@ -17,13 +17,13 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from edtorch.compilation import Wish
-from edtorch.hashing import Use, hash_key, uniform
-from edtorch.policies import LinearPolicy
+from edtorch.compiled.compilation import Wish
+from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import Checkpoint
 from edtorch.rivals.episodes import Finished, Tile
 from edtorch.rivals.processes import in_processes
-from edtorch.world import World
+from edtorch.run.hashing import Use, hash_key, uniform
+from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 
 SECONDS_BETWEEN_REPORTS = 0.5

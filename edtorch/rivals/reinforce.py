@@ -27,13 +27,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.features import FeatureMap
-from edtorch.hashing import Use, hash_key
+from edtorch.model.features import FeatureMap
 from edtorch.rivals.base import LinearSearch, Problem
 from edtorch.rivals.episodes import Moment
 from edtorch.rivals.ledger import Account, pay
 from edtorch.rivals.returns import SparseReward
 from edtorch.rivals.runs import SLOTS, Ended, Runs
+from edtorch.run.hashing import Use, hash_key
 from sims.base import Outcome
 
 

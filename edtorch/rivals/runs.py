@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.compilation import Wish
-from edtorch.hashing import Use, hash_key, uniform
-from edtorch.policies import LinearPolicy
-from edtorch.records import Episode
+from edtorch.compiled.compilation import Wish
+from edtorch.policy.policies import LinearPolicy
 from edtorch.rivals.episodes import Tally, Tile
-from edtorch.world import World
+from edtorch.run.episodes import Episode
+from edtorch.run.hashing import Use, hash_key, uniform
+from edtorch.run.scaled_sim import World
 from sims.base import Lasting, Outcome
 
 SLOTS = 1024
@@ -112,8 +112,8 @@ def check_runnable(world: World) -> None:
 
 
 def can_try(world: World) -> bool:
-    """Whether ``fresh_episodes`` are those of ``edtorch.evaluation``, other random numbers apart:
-    nothing lasts from one to the next, and no angle is counted on from tick to tick."""
+    """Whether ``fresh_episodes`` are those of ``edtorch.run.evaluation``, other random numbers
+    apart: nothing lasts from one to the next, and no angle is counted on from tick to tick."""
     lasting = isinstance(world.sim, Lasting) and bool(world.sim.lasting)
     return bool(getattr(world.sim, "traceable", False)) and not lasting and not world.unwraps
 
@@ -126,7 +126,7 @@ def fresh_episodes(
     episodes: int,
     pause: Callable[[], None],
 ) -> list[list[Episode]]:
-    """As ``edtorch.evaluation.evaluate`` for linear policies of weights ``[S, m, n]``: fresh
+    """As ``edtorch.run.evaluation.evaluate`` for linear policies of weights ``[S, m, n]``: fresh
     episodes of each, the same ones of a seed whatever else is tried."""
     number = torch.arange(episodes)
     key = torch.cat([hash_key(Use.FRESH, seed, number) for seed in seeds])

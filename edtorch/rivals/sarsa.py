@@ -37,13 +37,13 @@ import torch
 from torch import Tensor
 from torch._higher_order_ops.while_loop import while_loop
 
-from edtorch.compilation import CannotCompile, Wish, compiled
-from edtorch.hashing import Use, hash_key, uniform
+from edtorch.compiled.compilation import CannotCompile, Wish, compiled
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.base import Problem
 from edtorch.rivals.ledger import Account
+from edtorch.run.hashing import Use, hash_key, uniform
+from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters, select
-from edtorch.world import World
 from sims.base import Outcome, Quantity, Spec, spec_index
 
 CHUNK = 2000

@@ -21,15 +21,15 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
-from edtorch.learner import Actor
+from edtorch.learner.learner import Actor
 from edtorch.rewards import Reward
 from edtorch.rivals.base import Problem
 from edtorch.rivals.deep import Lesson
 from edtorch.rivals.ledger import Account
 from edtorch.rivals.networks import Networks, stacked
-from edtorch.streams import Purpose, Streams, stream_key
+from edtorch.run.random import Purpose, Streams, stream_key
+from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters, select
-from edtorch.world import World
 from sims.base import Outcome
 
 SECONDS_BETWEEN_PAUSES = 1.0

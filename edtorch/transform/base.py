@@ -30,8 +30,8 @@ class Transform(Protocol):
     def keeps_positive(self, noise: StateFunction) -> bool:
         """Whether ``move`` makes a positive semidefinite covariance of one, by construction.
 
-        Where it does not, ``edtorch.unroll`` checks the eigenvalues at every step, floors them and
-        says where that began.
+        Where it does not, ``edtorch.value.unroll`` checks the eigenvalues at every step, floors
+        them and says where that began.
         """
         ...
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from edtorch.spectral import symmetric_eigen
+from edtorch.linalg import symmetric_eigen
 
 TOLERANCE = 1e-12
 """Eigenvalues above -TOLERANCE times the largest are rounding, not trouble."""

@@ -32,7 +32,7 @@ class SecondOrder:
     negative and says so; a ``ConstantNoise`` has no such term and needs no floor.
 
     Costs n^2 nested Jacobian-vector products a step; meant first of all for the error estimate of
-    ``edtorch.value_error``.
+    ``edtorch.value.error_estimate``.
     """
 
     propagates_covariance = True

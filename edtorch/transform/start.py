@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from edtorch.trouble import NonFiniteError, ShapeError
+from edtorch.errors import NonFiniteError, ShapeError
 from edtorch.types import Belief
 
 

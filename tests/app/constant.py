@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
-from edtorch.learner import Actor
+from edtorch.learner.learner import Actor
 from edtorch.rivals.base import Problem
 from edtorch.rivals.ledger import Account
 from edtorch.types import Parameters

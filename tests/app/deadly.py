@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 
-from sims.cardea_physics import Step, step_rows
+from sims.cardea.physics import Step, step_rows
 
 
 def step_rows_or_die(yaw: float, rows: list[Step]) -> list[list[float]]:

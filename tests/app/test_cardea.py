@@ -19,9 +19,9 @@ pytest.importorskip("pybullet", reason="the extra [cardea] is not installed: no 
 
 from edtorch.app.build import build
 from edtorch.app.rundir import load_config
-from edtorch.checkpoint import load_training
-from edtorch.interact import Training
-from sims import cardea
+from edtorch.run.checkpoint import load_training
+from edtorch.run.training import Training
+from sims.cardea import cardea
 from sims.workers import Workers
 from tests.app.deadly import step_rows_or_die
 

@@ -20,13 +20,13 @@ from edtorch.app import schemas
 from edtorch.app.build import Setup, build
 from edtorch.app.rival import build_search
 from edtorch.app.rivals import build_rival
-from edtorch.evaluation import evaluate
-from edtorch.interact import Training
 from edtorch.inverse.policy import InversePolicy
-from edtorch.learner import Learner
-from edtorch.records import Budget
+from edtorch.learner.learner import Learner
 from edtorch.rivals.random_search import search
-from edtorch.unroll import Horizon
+from edtorch.run.episodes import Budget
+from edtorch.run.evaluation import evaluate
+from edtorch.run.training import Training
+from edtorch.value.unroll import Horizon
 from sims.base import Outcome
 from sims.bicycle import Bicycle
 
@@ -269,14 +269,16 @@ def test_settings_of_the_domain_reach_the_world() -> None:
 def test_the_paper_s_settings() -> None:
     """bicycle_paper is section 4 of the paper."""
     config = _compose("experiment=bicycle_paper")
-    assert config.fit._target_ == "edtorch.fit.AbsoluteError"
+    assert config.fit._target_ == "edtorch.model.fit.AbsoluteError"
     assert (config.fit.rate, config.step.alpha, config.step.beta) == (1.0, 0.1, 1.0)
     assert (config.noise.exploration, config.unroll.horizon, config.unroll.dt) == (0.05, 30, 0.051)
     assert dict(config.reward.state) == {"angle_to_goal": 1.0, "lean": 10.0}
 
 
 def test_the_random_features_are_those_of_the_seed() -> None:
-    random = "policy.features={_target_: edtorch.features.RandomFourier, count: 4, lengthscale: 1}"
+    random = (
+        "policy.features={_target_: edtorch.model.features.RandomFourier, count: 4, lengthscale: 1}"
+    )
     policies = [build(_compose(random, f"seed={s}")).learner.policy for s in (1, 1, 2)]
     buffers = [
         dict(p.named_buffers())["features.frequency"]

@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from edtorch.closed_form.lqr import finite_horizon_lqr
+from edtorch.value.linear.lqr import finite_horizon_lqr
 
 Command = Callable[..., Any]
 

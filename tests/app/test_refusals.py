@@ -12,7 +12,7 @@ import pytest
 
 Command = Callable[..., Any]
 LARGEST = 2**63 - 1
-THREE = "{_target_: edtorch.features.Identity, inputs: 3}"
+THREE = "{_target_: edtorch.model.features.Identity, inputs: 3}"
 
 # Arguments, and what the line must say.
 REFUSED = [
@@ -141,7 +141,7 @@ REFUSED = [
     ([f"model.features={THREE}"], r"model\.features\.inputs=3: expected 7"),
     ([f"policy.features={THREE}"], r"policy\.features\.inputs=3: expected 5"),
     (
-        ["policy.features={_target_: edtorch.features.RandomFourier, count: 5}"],
+        ["policy.features={_target_: edtorch.model.features.RandomFourier, count: 5}"],
         r"policy\.features\.lengthscale: no value given",
     ),
     (
@@ -151,7 +151,7 @@ REFUSED = [
     (["domain._target_=sims.nope.Foo"], r"domain\._target_=sims\.nope\.Foo: expected the full na"),
     (["domain._target_=sims.bicycle.step"], r"domain\._target_=sims\.bicycle\.step: .* a class"),
     (["domain.integrate._target_=sims.nope"], r"domain\.integrate\._target_=sims\.nope: .*functi"),
-    (["fit._target_=edtorch.update.PlainStep"], r"fit\._target_=.*PlainStep: .*lacks update"),
+    (["fit._target_=edtorch.policy.steps.PlainStep"], r"fit\._target_=.*PlainStep: .*lacks update"),
     (["+reward.state.foo=1"], r"reward\.state\.foo=1\.0: expected one of lean, lean_rate"),
     (["+reward.state.handlebar=-1"], r"reward\.state\.handlebar=-1\.0: expected .* >= 0"),
     (["reward=quadratic"], r"reward\.state=\{\}: expected a weight > 0 for one of lean"),

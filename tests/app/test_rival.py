@@ -120,7 +120,7 @@ REFUSED = [
     (["rival.low=3"], r"rival\.low=3\.0: expected less than high, 2\.0"),
     (["rival.polices=3"], r"rival\.polices=3: unknown key; did you mean rival\.policies\?"),
     (["+rival.foo=3"], r"rival\.foo=3: unknown key"),
-    (["rival._target_=edtorch.update.PlainStep"], r"rival"),
+    (["rival._target_=edtorch.policy.steps.PlainStep"], r"rival"),
     (["rival=foo"], r"rival=foo: expected one of .*none, .*random_search"),
     (["seeds=2"], r"seeds=2: expected 1 with a rival"),
     (["compute.compile=perhaps"], r"compute\.compile=perhaps: expected one of auto, on, off"),

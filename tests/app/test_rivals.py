@@ -116,7 +116,7 @@ def test_a_report_reads_it(folder: Path, command: Command, workplace: Path) -> N
         (["eval.episodes=0"], r"eval\.episodes=0: expected an integer >= 1"),
         (["command=ramp", "command.component=s0"], r"command=ramp: expected free with a rival"),
         (["observation.delay=1"], r"observation\.delay=1.*expected 0 and nothing with a rival"),
-        (["rival._target_=edtorch.update.PlainStep"], r"rival\._target_=.*lacks begin"),
+        (["rival._target_=edtorch.policy.steps.PlainStep"], r"rival\._target_=.*lacks begin"),
     ],
     ids=lambda v: str(v)[:40],
 )

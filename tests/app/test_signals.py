@@ -19,8 +19,8 @@ from edtorch.app import train
 from edtorch.app.build import build
 from edtorch.app.rundir import load_config
 from edtorch.app.signals import SIGNALS, Stop
-from edtorch.checkpoint import load_training
-from edtorch.interact import Training
+from edtorch.run.checkpoint import load_training
+from edtorch.run.training import Training
 
 Start = Callable[..., subprocess.Popen[str]]
 

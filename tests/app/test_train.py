@@ -18,8 +18,8 @@ from tensorboard.plugins.hparams.metadata import PLUGIN_NAME as HPARAMS
 
 from edtorch.app.build import build
 from edtorch.app.rundir import load_config
-from edtorch.checkpoint import load_training
-from edtorch.interact import Training
+from edtorch.run.checkpoint import load_training
+from edtorch.run.training import Training
 
 Command = Callable[..., Any]
 
@@ -118,7 +118,7 @@ def test_tensorboard_reads_it_back(finished: Path) -> None:
     )
     assert tags["images"] == ["learning_curve"]
     text = board.Tensors("config/text_summary")[0].tensor_proto.string_val[0].decode()
-    assert "exploration: 0.05" in text and "edtorch.update.SaturatedStep" in text
+    assert "exploration: 0.05" in text and "edtorch.policy.steps.SaturatedStep" in text
     hparams = board.summary_metadata
     named = {tag: m.plugin_data.plugin_name for tag, m in hparams.items()}
     assert {tag for tag, plugin in named.items() if plugin == HPARAMS} == {

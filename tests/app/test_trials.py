@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pytest
 
 from edtorch.app.trials import SCREENING, Paid, Trials
-from edtorch.records import Episode
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 FELL, RODE, ARRIVED = Outcome.FAILED, Outcome.TIMED_OUT, Outcome.SUCCEEDED

@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 
 from benchmarks.bicycle import draws, numbers, paper_training
-from edtorch.closed_form import (
+from edtorch.run.training import Training
+from edtorch.types import Belief, replace
+from edtorch.value.linear import (
     mean_value_and_gradient,
     moment_value_and_gradient,
 )
-from edtorch.interact import Training
-from edtorch.types import Belief, replace
 from tests.systems import normal, random_cost
 
 SIZES = [(5, 2, 30), (7, 3, 1), (1, 1, 5)]

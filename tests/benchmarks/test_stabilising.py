@@ -7,7 +7,7 @@ import torch
 
 from benchmarks.stabilising import first_for_good, radii
 from sims.bicycle import RANDLOV, semi_implicit
-from sims.bicycle_lqr import ACTION_COST, STATE_COST, linearised, regulator
+from sims.bicycle.lqr import ACTION_COST, STATE_COST, linearised, regulator
 from tests.systems import f64
 
 

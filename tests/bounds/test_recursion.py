@@ -22,7 +22,7 @@ from edtorch.bounds import (
 )
 from edtorch.rewards import QuadraticReward
 from edtorch.types import Belief
-from edtorch.unroll import Horizon
+from edtorch.value.unroll import Horizon
 from tests.bounds.systems import (
     FLOOR,
     RADEMACHER,

@@ -53,7 +53,9 @@ def test_theorem_1_as_printed_is_false(
     law = axes_law(n, radius)
     mean, cov = law.moments()
     M = torch.linalg.matrix_norm(cov).item()
-    assert not bool(mean.any()) and torch.allclose(cov, torch.eye(n).double(), atol=1e-12)
+    # Symmetric to the last digit on one processor, to 1e-18 on another: a sum of rounded terms.
+    assert torch.allclose(mean, torch.zeros(n).double(), atol=1e-12)
+    assert torch.allclose(cov, torch.eye(n).double(), atol=1e-12)
     assert M == pytest.approx(math.sqrt(n))
     actual = law.mean(quartic_root(law.states)).item()
     assert actual == pytest.approx(error, abs=1e-3)
@@ -63,7 +65,7 @@ def test_theorem_1_as_printed_is_false(
         jacobian=0.0, mean_error=0.0, curvature=6.0, second_moment=law.distance_moment(mean, 2)
     )
     assert right == pytest.approx(corrected)
-    assert as_printed < actual <= right
+    assert as_printed < actual <= right * (1 + 1e-12)
 
 
 def test_curvature_of_the_counterexample_is_below_six() -> None:

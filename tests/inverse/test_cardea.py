@@ -12,14 +12,14 @@ pytest.importorskip(
     "pytorch_kinematics", reason="the extra [cardea] is not installed: no pytorch-kinematics"
 )
 
-from edtorch.evaluation import evaluate_yardstick
 from edtorch.inverse.features import FEATURES
 from edtorch.inverse.hand import HandCoordinates
 from edtorch.inverse.layout import Layout
-from edtorch.world import World
+from edtorch.run.evaluation import evaluate_yardstick
+from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 from sims.cardea import LIMITS, Cardea, Trouble
-from sims.cardea_arm import HIGH, LOW
+from sims.cardea.arm import HIGH, LOW
 
 pytestmark = pytest.mark.oracle
 

@@ -15,7 +15,7 @@ from edtorch.inverse.loop import InverseLoop
 from edtorch.inverse.policy import Form, InversePolicy
 from edtorch.inverse.unroll import InverseUnroll, driven, regressors, step_noise
 from edtorch.transform import FirstOrder
-from edtorch.unroll import Horizon
+from edtorch.value.unroll import Horizon
 from tests.inverse.arm import Masses
 
 LAYOUT = Layout(Masses().spec)

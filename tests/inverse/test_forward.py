@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from edtorch.inverse.forward import Errors, Mechanical, distance_cost, tracking
-from edtorch.models import DerivativeModel
-from edtorch.policies import LinearPolicy, SquashedPolicy
+from edtorch.model.models import DerivativeModel
+from edtorch.policy.policies import LinearPolicy, SquashedPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import FirstOrder, MeanOnly
-from edtorch.unroll import Generic, Horizon
+from edtorch.value.unroll import Generic, Horizon
 from tests.inverse.arm import Masses
 
 SPEC = Masses().spec

@@ -7,9 +7,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from edtorch.evaluation import evaluate
-from edtorch.fit import AbsoluteError
-from edtorch.interact import Training
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import JointCoordinates
 from edtorch.inverse.features import FEATURES
@@ -17,13 +14,16 @@ from edtorch.inverse.layout import Layout
 from edtorch.inverse.learner import InverseLearner, Trust
 from edtorch.inverse.policy import InversePolicy
 from edtorch.inverse.unroll import InverseUnroll
-from edtorch.noise import LinearNoise, ResidualNoise
-from edtorch.records import Budget
-from edtorch.ridge import Ridge
+from edtorch.model.fit import AbsoluteError
+from edtorch.model.fit_ridge import Ridge
+from edtorch.model.noise import LinearNoise, ResidualNoise
+from edtorch.policy.steps import SaturatedStep
+from edtorch.run.episodes import Budget
+from edtorch.run.evaluation import evaluate
+from edtorch.run.scaled_sim import World
+from edtorch.run.training import Training
 from edtorch.types import Transition
-from edtorch.unroll import Horizon
-from edtorch.update import SaturatedStep
-from edtorch.world import World
+from edtorch.value.unroll import Horizon
 from sims.bicycle import Bicycle
 from sims.linear import LinearSystem
 from tests.inverse.arm import Masses

@@ -10,7 +10,7 @@ from edtorch.inverse.layout import Layout
 from edtorch.inverse.policy import Form, InversePolicy
 from edtorch.inverse.unroll import InverseUnroll, regressors
 from edtorch.transform import MeanOnly
-from edtorch.unroll import Horizon
+from edtorch.value.unroll import Horizon
 from tests.inverse.arm import Masses
 
 LAYOUT = Layout(Masses().spec)

@@ -35,7 +35,7 @@ def learners(
     size = len(falls)
     config = {
         "domain": {"_target_": domain, "dt": 0.01},
-        "step": {"_target_": "edtorch.update.SaturatedStep", "alpha": 0.1},
+        "step": {"_target_": "edtorch.policy.steps.SaturatedStep", "alpha": 0.1},
         "log": {"every": 5},
         "seed": seed,
         "seeds": size,

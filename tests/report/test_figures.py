@@ -11,8 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from edtorch.records import Episode
 from edtorch.report.figures import Ride, learning_curve, save_figure, unwrapped_strokes
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 RIDE = Ride(np.arange(4.0), np.array([0.1, 0.2, 0.1, 0.0]), "angle_to_goal", "rad", "a ride")

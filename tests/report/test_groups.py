@@ -11,8 +11,8 @@ from edtorch.report.groups import BaselineUnknown, Section, sections
 from edtorch.report.runs import LeftOut, load_all
 from tests.report.folders import learners, search
 
-ABSOLUTE = {"_target_": "edtorch.fit.AbsoluteError", "rate": 1.0}
-SQUARED = {"_target_": "edtorch.fit.SquaredError", "rate": 10.0}
+ABSOLUTE = {"_target_": "edtorch.model.fit.AbsoluteError", "rate": 1.0}
+SQUARED = {"_target_": "edtorch.model.fit.SquaredError", "rate": 10.0}
 
 
 def _sections(
@@ -32,7 +32,7 @@ def _labels(section: Section) -> list[str]:
 
 
 def _step(alpha: float) -> dict[str, Any]:
-    return {"_target_": "edtorch.update.SaturatedStep", "alpha": alpha}
+    return {"_target_": "edtorch.policy.steps.SaturatedStep", "alpha": alpha}
 
 
 def test_seeds_of_one_configuration_are_pooled(tmp_path: Path) -> None:

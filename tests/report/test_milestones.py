@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from edtorch.records import Episode
 from edtorch.report.milestones import Checkpoint, checkpoint, milestones
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 FELL, RODE, LATE = Outcome.FAILED, Outcome.SUCCEEDED, Outcome.TIMED_OUT

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from edtorch.records import Episode
 from edtorch.report.reaching import curve, reaching_curve
 from edtorch.report.statistics import goal_figures
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 DONE, FELL = Outcome.SUCCEEDED, Outcome.FAILED

@@ -6,7 +6,6 @@ import math
 
 import pytest
 
-from edtorch.records import Episode
 from edtorch.report.statistics import (
     FirstRide,
     Spread,
@@ -15,6 +14,7 @@ from edtorch.report.statistics import (
     first_ride,
     learning_figures,
 )
+from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
 FELL, RODE, LATE = Outcome.FAILED, Outcome.SUCCEEDED, Outcome.TIMED_OUT

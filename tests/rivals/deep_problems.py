@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from edtorch.learner import Actor
+from edtorch.learner.learner import Actor
 from edtorch.rivals.base import Problem, Search
 from sims.linear import LinearSystem
 from tests.rivals.problems import problem

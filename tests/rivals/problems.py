@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from edtorch.features import Identity
-from edtorch.policies import LinearPolicy
+from edtorch.model.features import Identity
+from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.base import Problem, Search
-from edtorch.world import World
+from edtorch.run.scaled_sim import World
 from sims.base import Sim
 from sims.linear import LinearSystem
 

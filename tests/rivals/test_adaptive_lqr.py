@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 import torch
 
-from edtorch.closed_form.lqr import doubled_lqr, finite_horizon_lqr
 from edtorch.rivals.adaptive_lqr import AdaptiveLqr
 from edtorch.rivals.lqr import Lqr
+from edtorch.value.linear.lqr import doubled_lqr, finite_horizon_lqr
 from sims.linear import LinearSystem
 from tests.rivals.problems import pause, problem, scalar, search_for
 

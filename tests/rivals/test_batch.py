@@ -19,7 +19,7 @@ from edtorch.rivals.batch import (
     rewards,
 )
 from edtorch.rivals.ledger import Account
-from edtorch.world import World
+from edtorch.run.scaled_sim import World
 from sims.bicycle import Bicycle
 from sims.linear import LinearSystem
 from tests.rivals.chain import ACTIONS, PLACES, Chain

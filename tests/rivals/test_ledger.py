@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edtorch.records import Budget, Episode
 from edtorch.report.statistics import first_ride
 from edtorch.rivals.ledger import Account
+from edtorch.run.episodes import Budget, Episode
 from sims.base import Outcome
 
 ENDS = st.lists(st.tuples(st.sampled_from(list(Outcome)[1:]), st.integers(1, 1000)), max_size=8)

@@ -7,14 +7,14 @@ import dataclasses
 import pytest
 import torch
 
-from edtorch.features import Affine
-from edtorch.policies import LinearPolicy, SquashedPolicy
+from edtorch.model.features import Affine
+from edtorch.policy.policies import LinearPolicy, SquashedPolicy
 from edtorch.rivals.lqr import Lqr, calmest_start, linearised
-from edtorch.world import World
+from edtorch.run.scaled_sim import World
 from sims.base import spec_index
 from sims.bicycle import Bicycle
-from sims.bicycle_lqr import REDUCED
-from sims.bicycle_lqr import linearised as linearised_bicycle
+from sims.bicycle.lqr import REDUCED
+from sims.bicycle.lqr import linearised as linearised_bicycle
 from sims.linear import LinearSystem
 from tests.rivals.problems import pause, problem, scalar
 

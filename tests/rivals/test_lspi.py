@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from edtorch.rivals.lspi import Lspi, LspiSearch, lstdq, monomials
-from edtorch.world import World
+from edtorch.run.scaled_sim import World
 from sims.bicycle import Bicycle
 from tests.rivals.chain import ACTIONS, PLACES, Chain, optimal_values
 from tests.rivals.problems import problem

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 import torch
 
-from edtorch.hashing import Use, hash_key, uniform
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.pegasus import Pegasus
 from edtorch.rivals.returns import SparseReward, charge
+from edtorch.run.hashing import Use, hash_key, uniform
 from sims.bicycle import Bicycle
 from sims.linear import LinearSystem
 from tests.rivals.problems import (

@@ -10,9 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from edtorch.features import Identity
-from edtorch.hashing import uniform
-from edtorch.policies import LinearPolicy
+from edtorch.model.features import Identity
+from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import milestones
 from edtorch.report.proportions import Proportion, same_rate
 from edtorch.rivals.episodes import looped, one_tick, scanned
@@ -24,7 +23,8 @@ from edtorch.rivals.random_search import (
     policy_weights,
     search,
 )
-from edtorch.world import World
+from edtorch.run.hashing import uniform
+from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 from sims.bicycle import Bicycle, Physics
 from sims.linear import LinearSystem

@@ -8,15 +8,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from edtorch.features import Identity
-from edtorch.hashing import Use, hash_key, normals, uniform
-from edtorch.policies import LinearPolicy
+from edtorch.model.features import Identity
+from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.episodes import looped, one_tick, scanned
 from edtorch.rivals.reinforce import LikelihoodRatio
 from edtorch.rivals.returns import Return, SparseReward
 from edtorch.rivals.runs import Runs, can_try, fresh_episodes
-from edtorch.world import World
+from edtorch.run.hashing import Use, hash_key, normals, uniform
+from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 from sims.bicycle import Bicycle
 from tests.rivals.problems import pause

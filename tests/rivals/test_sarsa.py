@@ -11,17 +11,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from edtorch.compilation import CannotCompile
-from edtorch.features import Identity
-from edtorch.hashing import Use, hash_key, uniform
-from edtorch.policies import LinearPolicy
+from edtorch.compiled.compilation import CannotCompile
+from edtorch.model.features import Identity
+from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals import sarsa
 from edtorch.rivals.base import Problem
 from edtorch.rivals.sarsa import Boxes, Sarsa, SarsaSearch
-from edtorch.world import World
+from edtorch.run.hashing import Use, hash_key, uniform
+from edtorch.run.scaled_sim import World
 from sims.base import Outcome, Quantity, Spec
 from sims.bicycle import Bicycle, Physics
+from tests.compiling import needs_a_compiler
 
 CELLS = 6
 
@@ -320,6 +321,7 @@ def test_pause_ends_it() -> None:
 @pytest.mark.filterwarnings("ignore:`torch.jit.*:DeprecationWarning")  # of torch's compiler itself
 def test_compiled_is_uncompiled() -> None:
     """The loop in the graph does what the loop outside does."""
+    needs_a_compiler()
     settings = replace(CORRIDOR, exploration=0.3, every=100.0)
     world = World(Corridor())
     plain = _searched(settings, _problem(world, range(3)))

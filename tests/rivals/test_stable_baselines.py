@@ -17,8 +17,8 @@ from edtorch.rivals.ledger import Account
 from edtorch.rivals.ppo import PPO
 from edtorch.rivals.sac import SAC
 from edtorch.rivals.stable_baselines import WorldEnvs, action_box
-from edtorch.streams import Purpose, Streams, stream_key
-from edtorch.world import World
+from edtorch.run.random import Purpose, Streams, stream_key
+from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 from sims.bicycle import Bicycle
 from tests.rivals.deep_problems import COST, PULL, carry_on, linear_problem

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from sims.base import Sim, Spec
 from sims.bicycle import Bicycle, Physics, explicit_euler
+from sims.bicycle.slalom import Slalom
 from sims.conformance import check
 from sims.from_gymnasium import GymnasiumSim
 from sims.linear import LinearSystem
 from sims.sensing import Sensed
-from sims.slalom import Slalom
 
 ALL_AT_ONCE: dict[str, Any] = {
     "spread": 0.3,

@@ -14,8 +14,8 @@ pytest.importorskip(
 )
 
 from sims.cardea import Cardea
-from sims.cardea_arm import HIGH, LOW, SHOULDER, slant, wrist
-from sims.cardea_physics import URDF, pybullet
+from sims.cardea.arm import HIGH, LOW, SHOULDER, slant, wrist
+from sims.cardea.physics import URDF, pybullet
 from sims.kinematics import Chain, Pose
 
 pytestmark = pytest.mark.oracle  # the first use imports for some seconds

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from sims.base import Fallible, Invertible, Lasting, Measured, Pictured
 from sims.bicycle import Bicycle
+from sims.bicycle.slalom import Slalom
 from sims.linear import LinearSystem
 from sims.sensing import Sensed
-from sims.slalom import Slalom
 
 
 def uniform(*shape: int, seed: int = 0) -> Tensor:

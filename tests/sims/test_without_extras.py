@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError
 from sims.cardea import Cardea
-from sims.cardea_physics import URDF
+from sims.cardea.physics import URDF
 from sims.kinematics import Chain
 
 

@@ -51,8 +51,8 @@ def test_a_deadly_row_is_given_up_and_nothing_else(workers: Workers[int, int]) -
 
 def test_cardea_goes_on_after_a_death() -> None:
     pytest.importorskip("pybullet", reason="the extra [cardea] is not installed: no PyBullet")
-    from sims import cardea
-    from sims.cardea import Cardea, Outcome, Trouble
+    from sims.base import Outcome
+    from sims.cardea import Cardea, Trouble, cardea
 
     alone, shared = Cardea(), Cardea(workers=2)
     generator = torch.Generator().manual_seed(0)

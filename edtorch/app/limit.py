@@ -1,0 +1,130 @@
+"""From the groups ``command``, ``schedule`` and ``observation`` to their parts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+
+from edtorch.app.checks import at_least
+from edtorch.app.errors import ConfigError, under
+from edtorch.learner.annealing import Annealed
+from edtorch.learner.limit import CommandLimit, Ramp, Safe
+from edtorch.learner.schedule import Schedule
+from edtorch.model.models import Model
+from edtorch.model.noise import Noise
+from edtorch.policy.policies import LinearPolicy
+from edtorch.run.scaled_sim import World
+from sims.base import Spec
+
+VARIANTS = ("free", "ramp", "safe")
+
+
+def variant(config: Any) -> str:
+    """Of the group ``command``; ConfigError if it is none."""
+    if config is None:
+        return "free"
+    if config.variant not in VARIANTS:
+        raise ConfigError(
+            f"command.variant={config.variant}: expected one of {', '.join(VARIANTS)}"
+        )
+    return config.variant
+
+
+def needs_noise(config: Any) -> bool:
+    """Whether the bound is made of a predicted covariance."""
+    return variant(config) == "safe" and config.deviations > 0
+
+
+def limits(spec: Spec) -> list[tuple[int, float]]:
+    """The components of the state that have a limit, and that in scaled units."""
+    return [(i, q.limit / q.scale) for i, q in enumerate(spec.state) if math.isfinite(q.limit)]
+
+
+def action_bounds(spec: Spec) -> tuple[tuple[int, float], ...]:
+    """The actions that are clipped, and how far from zero each may be in scaled units."""
+    if not spec.clip_action:
+        return ()
+    bounds = ((i, min(-q.low, q.high) / q.scale) for i, q in enumerate(spec.action))
+    return tuple((i, bound) for i, bound in bounds if math.isfinite(bound))
+
+
+def _ramp(config: Any, world: World) -> Ramp:
+    names = [q.name for q in world.spec.state]
+    if config.component not in names:
+        raise ConfigError(
+            f"command.component={config.component}: expected one of {', '.join(names)}"
+        )
+    index = names.index(config.component)
+    scale = world.spec.state[index].scale
+    with under("command"):
+        bound = Annealed(config.start / scale, config.final / scale, config.decay / world.dt)
+        return Ramp(index, len(names), bound, world.dtype)
+
+
+def build_command(
+    config: Any, world: World, model: Model, policy: LinearPolicy, noise: Noise | None
+) -> CommandLimit | None:
+    """The rule for what is seen of an observation, from the group ``command``."""
+    if variant(config) == "free":
+        return None
+    ramp = _ramp(config, world)
+    if config.variant == "ramp":
+        return ramp
+    constrained = limits(world.spec)
+    if not constrained:
+        raise ConfigError(
+            f"command=safe: expected a domain whose state has limits; {world.spec.name} has none"
+        )
+    with under("command"):
+        share = Annealed(config.share_start, config.share, config.decay / world.dt)
+        return Safe(
+            ramp,
+            model,
+            policy,
+            noise,
+            config.dt,
+            config.horizon,
+            tuple(constrained),
+            share,
+            config.deviations,
+            action_bounds(world.spec) if config.actions else (),
+        )
+
+
+def check_start(config: Any, world: World) -> None:
+    """Refuse a learner that is beyond a limit before it has done anything."""
+    if variant(config) != "safe":
+        return
+    # Both ends and the middle of what a start is drawn from.
+    for share in (0.0, 0.5, 1.0 - 1e-9):
+        uniform = torch.full((1, world.uniforms), share, dtype=world.dtype, device=world.device)
+        observed = world.observe(world.initial(uniform))[0]
+        for index, limit in limits(world.spec):
+            if not abs(float(observed[index])) <= limit:
+                quantity = world.spec.state[index]
+                raise ConfigError(
+                    f"command=safe: a start of {world.spec.name} has {quantity.name}="
+                    f"{float(observed[index]) * quantity.scale:.4g} {quantity.unit}, expected at"
+                    f" most its limit, {quantity.limit:.4g}; see domain.*"
+                )
+
+
+def build_schedule(config: Any, dt: float) -> Schedule:
+    """When the policy is improved, from the group ``schedule``; dt: seconds per tick."""
+    at_least("schedule.often", config.often, 0)
+    with under("schedule"):
+        return Schedule(config.first, round(config.often / dt), config.every)
+
+
+def build_exploration(config: Any, dt: float) -> float | Annealed:
+    """The deviation of the exploration, from the group ``noise``."""
+    if config.exploration_start is None:
+        return config.exploration
+    at_least("noise.exploration_start", config.exploration_start, 0)
+    if not config.exploration_decay > 0:
+        raise ConfigError(
+            f"noise.exploration_decay={config.exploration_decay}: expected a number > 0 (s)"
+        )
+    return Annealed(config.exploration_start, config.exploration, config.exploration_decay / dt)

@@ -1,0 +1,1 @@
+"""Compiled ticks: populations by Inductor, ahead of time."""

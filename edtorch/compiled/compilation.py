@@ -1,0 +1,67 @@
+"""Compiling a function where the machine can, and saying so where it cannot."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+from collections.abc import Callable
+from typing import Literal, TypeVar, cast
+
+import torch
+
+logger = logging.getLogger("edtorch")
+
+Wish = Literal["auto", "on", "off"]
+
+_Function = TypeVar("_Function", bound=Callable[..., object])
+
+
+SUPPORTED = ((2, 13), (2, 14))
+"""torch from this version on and before that one: of others it is not known whether they can."""
+
+
+class CannotCompile(RuntimeError):
+    """A program cannot be had; the message says why and what would help."""
+
+
+def check_compiler() -> None:
+    """Raises CannotCompile where programs can neither be made nor trusted."""
+    version = tuple(int(part) for part in torch.__version__.split(".")[:2])
+    if not SUPPORTED[0] <= version < SUPPORTED[1]:
+        least, bound = (".".join(map(str, v)) for v in SUPPORTED)
+        raise CannotCompile(
+            f"torch {torch.__version__} is outside of the range in which compiling has been tested,"
+            f" {least} up to but not {bound}: install one of these"
+        )
+    named = os.environ.get("CXX")
+    if not any(shutil.which(name) for name in ([named] if named else ["g++", "clang++"])):
+        raise CannotCompile(
+            f"no C++ compiler found ({named or 'g++ or clang++'}): install one, or name it in CXX"
+        )
+    # Last, so that the other messages are the same wherever the environment lies.
+    if any(character.isspace() for character in torch.__file__):
+        raise CannotCompile(
+            f"torch lies under a path with a space, {torch.__file__!r}, which it does not quote for"
+            " the compiler: move the environment"
+        )
+
+
+def compiled(function: _Function, *, wish: Wish) -> _Function:
+    """``function`` compiled as one graph; with ``auto`` as it is where that cannot be had.
+
+    Raises CannotCompile with ``on``.
+    """
+    if wish == "off":
+        return function
+    try:
+        check_compiler()
+    except CannotCompile as error:
+        if wish == "on":
+            raise
+        logger.warning("not compiled, some ten times slower: %s", error)
+        return function
+    # Loops of a graph (scan) run in C++ then, not in Python.
+    options: dict[str, str | int | bool | Callable[..., object]] = {"cpp_wrapper": True}
+    made = torch.compile(function, fullgraph=True, dynamic=False, options=options)
+    return cast(_Function, made)

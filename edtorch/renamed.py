@@ -1,0 +1,120 @@
+"""Modules by their names before 0.1.0's packages: saved configurations and scripts still name them.
+
+``import edtorch.fit`` gives the very module ``edtorch.model.fit``, and so does a ``_target_``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.abc
+import importlib.machinery
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+RENAMED = {
+    "edtorch.adaptive": "edtorch.model.fit_adaptive",
+    "edtorch.annealing": "edtorch.learner.annealing",
+    "edtorch.app.command": "edtorch.app.limit",
+    "edtorch.app.keeping": "edtorch.app.best",
+    "edtorch.checkpoint": "edtorch.run.checkpoint",
+    "edtorch.checks": "edtorch.value.checks",
+    "edtorch.closed_form": "edtorch.value.linear",
+    "edtorch.closed_form.linear": "edtorch.value.linear.loop",
+    "edtorch.command": "edtorch.learner.limit",
+    "edtorch.compilation": "edtorch.compiled.compilation",
+    "edtorch.decay": "edtorch.model.fit_decaying",
+    "edtorch.delay": "edtorch.learner.delay",
+    "edtorch.dispatch": "edtorch.value.choose",
+    "edtorch.evaluation": "edtorch.run.evaluation",
+    "edtorch.features": "edtorch.model.features",
+    "edtorch.filtering": "edtorch.learner.filter",
+    "edtorch.fit": "edtorch.model.fit",
+    "edtorch.hashing": "edtorch.run.hashing",
+    "edtorch.innermost": "edtorch.compiled.innermost",
+    "edtorch.interact": "edtorch.run.training",
+    "edtorch.log": "edtorch.run.log",
+    "edtorch.loop": "edtorch.value.closed_loop",
+    "edtorch.models": "edtorch.model.models",
+    "edtorch.noise": "edtorch.model.noise",
+    "edtorch.observer": "edtorch.learner.observer",
+    "edtorch.offline": "edtorch.run.offline",
+    "edtorch.policies": "edtorch.policy.policies",
+    "edtorch.program": "edtorch.compiled.program",
+    "edtorch.recorder": "edtorch.run.recorder",
+    "edtorch.records": "edtorch.run.episodes",
+    "edtorch.ridge": "edtorch.model.fit_ridge",
+    "edtorch.schedule": "edtorch.learner.schedule",
+    "edtorch.spectral": "edtorch.linalg",
+    "edtorch.streams": "edtorch.run.random",
+    "edtorch.tick": "edtorch.run.tick",
+    "edtorch.tiles": "edtorch.compiled.tiles",
+    "edtorch.trail": "edtorch.run.trail",
+    "edtorch.transitions": "edtorch.run.transitions_file",
+    "edtorch.trouble": "edtorch.errors",
+    "edtorch.unroll": "edtorch.value.unroll",
+    "edtorch.update": "edtorch.policy.steps",
+    "edtorch.value_error": "edtorch.value.error_estimate",
+    "edtorch.world": "edtorch.run.scaled_sim",
+    "sims.bicycle_displacement": "sims.bicycle.displacement",
+    "sims.bicycle_life": "sims.bicycle.life",
+    "sims.bicycle_lqr": "sims.bicycle.lqr",
+    "sims.bicycle_optimum": "sims.bicycle.optimum",
+    "sims.bicycle_physics": "sims.bicycle.physics",
+    "sims.bicycle_picture": "sims.bicycle.picture",
+    "sims.cardea_arm": "sims.cardea.arm",
+    "sims.cardea_env": "sims.cardea.env",
+    "sims.cardea_physics": "sims.cardea.physics",
+    "sims.cardea_picture": "sims.cardea.picture",
+    "sims.cardea_poses": "sims.cardea.poses",
+    "sims.cardea_yardsticks": "sims.cardea.baselines",
+    "sims.slalom": "sims.bicycle.slalom",
+    "sims.wind": "sims.bicycle.wind",
+}
+"""New names by old ones; what lies within a renamed package keeps its own name there."""
+
+
+def current_name(name: str) -> str | None:
+    """The present name of a module that was called ``name``, None where it was not renamed."""
+    head, tail = name, ""
+    while head:
+        if head in RENAMED:
+            return RENAMED[head] + tail
+        head, _, last = head.rpartition(".")
+        tail = f".{last}{tail}"
+    return None
+
+
+class _Alias(importlib.abc.Loader):
+    """Loads a module under its old name as the one that it is now."""
+
+    def __init__(self, present: str) -> None:
+        self._present = present
+        self._spec: importlib.machinery.ModuleSpec | None = None
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
+        """The module under its present name."""
+        module = importlib.import_module(self._present)
+        self._spec = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Give the module its own spec back: the import system has put the alias's there."""
+        module.__spec__ = self._spec
+
+
+class _Finder(importlib.abc.MetaPathFinder):
+    """Knows the old names."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        """A spec for an old name, None for any other."""
+        present = current_name(name)
+        return None if present is None else importlib.machinery.ModuleSpec(name, _Alias(present))
+
+
+def install() -> None:
+    """Let old names be imported; once is enough."""
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        sys.meta_path.append(_Finder())

@@ -1,0 +1,155 @@
+"""Saving and loading: whole populations, and single policies.
+
+A population is saved with everything that its future depends on; its random numbers need no saving,
+being a function of (seed, tick).  Files are written beside their place and moved there, so that no
+reader ever sees half of one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from edtorch.run.tick import Experience
+from edtorch.run.training import Training
+from edtorch.types import LearnerState, Parameters
+
+
+class FileProblem(ValueError):
+    """A file is not what it should be; the message names it and says what was expected."""
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Call ``write`` with a path beside ``path``, then move the result into place."""
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        write(partial)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+    write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8"))
+
+
+def _flat(record: LearnerState | Experience) -> dict[str, object]:
+    return {f.name: getattr(record, f.name) for f in fields(record)}
+
+
+def save_training(path: Path, training: Training) -> None:
+    """Save the population: what each learner knows, where its world stands, the tick."""
+    content = {
+        "seeds": training.seeds,
+        "clock": training.clock,
+        "learners": _flat(training.learners),
+        "worlds": _flat(training.worlds),
+        "finite": training.finite,
+    }
+    write_atomically(path, lambda partial: torch.save(content, partial))
+
+
+def load_training(path: Path, training: Training) -> None:
+    """Put a saved population into ``training``, which must have the same seeds and sizes.
+
+    Records of finished episodes and the trail of states are not part of it.  Raises FileProblem.
+    """
+    try:
+        content = torch.load(path, weights_only=True)
+        seeds, learners, worlds = content["seeds"], content["learners"], content["worlds"]
+    except (
+        OSError,
+        RuntimeError,
+        pickle.UnpicklingError,
+        EOFError,
+        LookupError,
+        TypeError,
+    ) as error:
+        raise FileProblem(f"{path}: not a saved population") from error
+    if seeds != training.seeds:
+        raise FileProblem(f"{path}: saved for seeds {seeds}, expected {training.seeds}")
+    wanted = {name: tuple(p.shape) for name, p in training.learners.model.items()}
+    found = {name: tuple(p.shape) for name, p in learners["model"].items()}
+    if wanted != found:
+        raise FileProblem(f"{path}: model weights are {found}, this configuration has {wanted}")
+    training.restore(
+        LearnerState(**learners), Experience(**worlds), content["clock"], content["finite"]
+    )
+
+
+@dataclass(frozen=True)
+class PolicyCard:
+    """What a saved policy was made for; a policy is refused elsewhere.
+
+    domain: name of the sim's spec; states, actions: names in order; scales: of states, then of
+    actions; policy: class and feature map; seeds: one per row of the parameters.
+    """
+
+    domain: str
+    states: list[str]
+    actions: list[str]
+    scales: list[float]
+    policy: str
+    seeds: list[int]
+
+
+def save_policy(path: Path, policy: Parameters, card: PolicyCard) -> None:
+    """Save the policies of a population, ``[S, ...]``, as safetensors with their card."""
+    tensors = {name: p.detach().contiguous() for name, p in policy.items()}
+    metadata = {"edtorch": json.dumps(asdict(card))}
+    content = save(tensors, metadata)
+    write_atomically(path, lambda partial: partial.write_bytes(content))
+
+
+def policy_dtype(path: Path) -> torch.dtype:
+    """The number type of a saved policy; FileProblem if the file is none."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            return file.get_tensor(next(iter(file.keys()))).dtype
+    except (OSError, SafetensorError, StopIteration) as error:
+        raise FileProblem(f"{path}: not a saved policy ({error})") from error
+
+
+def saved_seeds(path: Path) -> list[int]:
+    """The seeds on the card of a saved policy; FileProblem if the file is none."""
+    return _card(path).seeds
+
+
+def _card(path: Path) -> PolicyCard:
+    try:
+        with safe_open(path, framework="pt") as file:
+            return PolicyCard(**json.loads(file.metadata()["edtorch"]))
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise FileProblem(f"{path}: not a saved policy ({error})") from error
+
+
+def load_policy(path: Path, expected: PolicyCard, shapes: dict[str, tuple[int, ...]]) -> Parameters:
+    """Load what ``save_policy`` saved; ``expected`` has the seeds, ``shapes`` those of one policy.
+
+    Raises FileProblem if the file is something else, or was made for another domain or policy.
+    """
+    card = _card(path)
+    with safe_open(path, framework="pt") as file:
+        tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}
+    for field in fields(PolicyCard):
+        found, wanted = getattr(card, field.name), getattr(expected, field.name)
+        if found != wanted:
+            raise FileProblem(
+                f"{path}: policy made for {field.name} {found}, expected {field.name} {wanted}"
+            )
+    for name, shape in shapes.items():
+        wanted = (len(card.seeds), *shape)
+        found = tuple(tensors[name].shape) if name in tensors else None
+        if found != wanted:
+            raise FileProblem(f"{path}: parameter {name!r} has shape {found}, expected {wanted}")
+    return tensors

@@ -1,0 +1,367 @@
+"""Learning from recorded transitions, whoever's policy made them (section 6: off-policy).
+
+The model is fitted to each learner's transitions by ``Learner.step``, one after the other, as if
+they were its own; then the policy climbs on the model as it is, which costs no experience, until
+its step is small.  What is recorded far from where the model is to hold may be left out: a model
+linear in the state is a local one, and a fall leaves the place where it is good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from edtorch.learner.learner import Learner
+from edtorch.learner.schedule import Schedule
+from edtorch.policy.steps import gradient_norm
+from edtorch.run.episodes import Budget, Episode, Snapshot
+from edtorch.run.scaled_sim import World
+from edtorch.run.tick import Tally
+from edtorch.run.transitions_file import Recorded
+from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
+from sims.base import Outcome
+
+Share = Literal["own", "all", "bootstrap"]
+Order = Literal["recorded", "shuffled"]
+BLOCK = 512
+"""Transitions of each learner that are brought together at once."""
+
+
+class _Draw(IntEnum):
+    """What a learner's random numbers are for; each is independent of the others."""
+
+    EPISODES = 0
+    ORDER = 1
+    STARTS = 2
+
+
+def _generator(seed: int, what: _Draw) -> np.random.Generator:
+    """A stream of the learner's own, so that it does the same in any population."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(what),)))
+
+
+@dataclass(frozen=True)
+class Lessons:
+    """How a learner takes the transitions that there are.
+
+    share: of each learner: own, those recorded from its seed; all; or bootstrap, as many episodes
+    as there are, drawn with replacement (Efron, 1979).  order: within a pass, as they were recorded
+    or shuffled anew in each.  passes: over all of them.  within: by component of the state, how far
+    from zero it may be, physical units, in a transition that is learned from.
+    """
+
+    share: Share = "own"
+    order: Order = "recorded"
+    passes: int = 1
+    within: tuple[tuple[int, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, known in (("share", Share), ("order", Order)):
+            if getattr(self, name) not in get_args(known):
+                raise ValueError(
+                    f"{name}={getattr(self, name)}: expected one of {', '.join(get_args(known))}"
+                )
+        if self.passes < 1:
+            raise ValueError(f"passes={self.passes}: expected at least one")
+
+    def assigned(self, data: Recorded, seed: int, budget: Budget) -> np.ndarray:
+        """Rows of ``data`` that make up the experience of the learner with this seed, in order,
+        those that it cannot learn from included.  ValueError if it has none."""
+        pieces = np.split(np.arange(len(data)), np.flatnonzero(np.diff(data.episode)) + 1)
+        if self.share == "own":
+            pieces = [rows for rows in pieces if data.seed[rows[0]] == seed]
+            if not pieces:
+                known = sorted(set(data.seed[data.seed >= 0].tolist()))
+                listed = _listed(known) if known else "none: it names no seeds"
+                raise ValueError(
+                    f"share=own: nothing is recorded of seed {seed}; the data have {listed};"
+                    " expected those, or share=all or bootstrap"
+                )
+        if self.share == "bootstrap":
+            drawn = _generator(seed, _Draw.EPISODES).integers(len(pieces), size=len(pieces))
+            pieces = [pieces[place] for place in drawn]
+        if budget.episodes is not None:
+            pieces = pieces[: budget.episodes]
+        rows = np.concatenate(pieces)
+        most = len(rows)
+        if budget.seconds is not None:
+            lived = np.cumsum(_seconds(data, rows))
+            most = int(np.searchsorted(lived, budget.seconds * (1 + 1e-9), side="right"))
+        if budget.rides is not None:
+            ridden = np.flatnonzero(data.succeeded[rows])
+            if len(ridden) >= budget.rides:
+                most = min(most, int(ridden[budget.rides - 1]) + 1)
+        return rows[:most]
+
+    def usable(self, data: Recorded, rows: np.ndarray) -> np.ndarray:
+        """Those of ``rows`` that are learned from."""
+        good = data.valid[rows]
+        for component, bound in self.within:
+            good = good & (np.abs(data.state[rows, component]) <= bound)
+        return rows[good]
+
+    def sequence(self, rows: np.ndarray, seed: int) -> np.ndarray:
+        """``rows`` as often and in the order in which the learner of this seed sees them."""
+        if self.order == "recorded":
+            return np.tile(rows, self.passes)
+        generator = _generator(seed, _Draw.ORDER)
+        return np.concatenate([generator.permutation(rows) for _ in range(self.passes)])
+
+
+def _listed(seeds: Sequence[int], most: int = 10) -> str:
+    more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
+    return "seeds " + ", ".join(map(str, seeds[:most])) + more
+
+
+def _seconds(data: Recorded, rows: np.ndarray) -> np.ndarray:
+    """What each row took; nothing where the file does not know."""
+    dt = data.dt[rows]
+    return np.where(np.isfinite(dt) & (dt > 0), dt, 0.0)
+
+
+def recorded_episodes(data: Recorded, rows: np.ndarray, row: int) -> list[Episode]:
+    """The episodes in the experience ``rows`` of the learner in place ``row``; of those that
+    somebody stopped nothing can be said, and they are left out."""
+    seconds = np.cumsum(_seconds(data, rows))
+    ends = np.flatnonzero(data.terminated[rows] | data.truncated[rows])
+    found: list[Episode] = []
+    start = 0.0
+    for number, end in enumerate(ends.tolist()):
+        at = rows[end]
+        if data.terminated[at]:
+            outcome = Outcome.SUCCEEDED if data.succeeded[at] else Outcome.FAILED
+            length = float(seconds[end]) - start
+            found.append(Episode(row, number, start, length, outcome, {}))
+        start = float(seconds[end])
+    return found
+
+
+class Offline:
+    """A population of learners, each at its share of recorded transitions.
+
+    ``advance`` gives them the next ones; once there are no more (``all_seen``), ``climb`` improves
+    the policies on the models as they are.  Raises ValueError where a learner has nothing to learn
+    from.
+    """
+
+    def __init__(
+        self,
+        learner: Learner,
+        world: World,
+        data: Recorded,
+        seeds: Sequence[int],
+        lessons: Lessons,
+        budget: Budget,
+        *,
+        schedule: Schedule | None = None,
+        tolerance: float = 1e-6,
+    ) -> None:
+        """schedule: when policies are improved while the transitions pass, None: not then;
+        tolerance: a policy whose step is smaller than this share of it has arrived."""
+        self.learner = learner
+        self.world = world
+        self.seeds = list(seeds)
+        self.learners = learner.initial(self.seeds)
+        self.clock = 0
+        self.episodes: list[Episode] = []
+        self.experience: list[float] = []
+        self.used: list[int] = []
+        self.unused: list[int] = []
+        self._schedule = schedule
+        self._tolerance = tolerance
+        self._order: list[np.ndarray] = []
+        for row, seed in enumerate(self.seeds):
+            rows = lessons.assigned(data, seed, budget)
+            usable = lessons.usable(data, rows)
+            if len(usable) == 0:
+                raise ValueError(
+                    f"data: seed {seed} has {len(rows)} transitions and none to learn from;"
+                    " expected one that is sound and within bounds (within)"
+                )
+            self.episodes += recorded_episodes(data, rows, row)
+            self.experience.append(float(_seconds(data, rows).sum()))
+            self.used.append(len(usable))
+            self.unused.append(len(rows) - len(usable))
+            self._order.append(lessons.sequence(usable, seed))
+        self._lengths = torch.tensor([len(own) for own in self._order])
+        scales = [
+            [q.scale for q in quantities] for quantities in (world.spec.state, world.spec.action)
+        ]
+        self._state = self._tensor(data.state / np.array(scales[0]))
+        self._action = self._tensor(data.action / np.array(scales[1]))
+        self._next = self._tensor(data.next_state / np.array(scales[0]))
+        self._dt = data.dt
+        self._seen = np.zeros(len(self.seeds))
+        self._tally = Tally.zero(len(self.seeds), world.device)
+        self._block = -1
+        self._starts = [_generator(seed, _Draw.STARTS) for seed in self.seeds]
+        self.moving = torch.ones(len(self.seeds), dtype=torch.bool, device=world.device)
+        self.steps = torch.zeros(len(self.seeds), dtype=torch.int64, device=world.device)
+
+    def _tensor(self, numbers: np.ndarray) -> Tensor:
+        return torch.from_numpy(numbers).to(self.world.device, self.world.dtype)
+
+    @property
+    def ticks(self) -> int:
+        """How many transitions the learner sees that sees most."""
+        return int(self._lengths.max())
+
+    @property
+    def all_seen(self) -> bool:
+        """Whether everybody has seen all of its transitions as often as it is to."""
+        return self.clock >= self.ticks
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of data that the learner that has seen most has learned from."""
+        return float(self._seen.max())
+
+    @property
+    def finite(self) -> Tensor:
+        """``[3, B]``: whether everything has been so far, see ``edtorch.learner.learner.Check``."""
+        return self._tally.finite.T
+
+    @property
+    def first_floored(self) -> Tensor:
+        """``[B]``: the step of an unroll from which on a covariance first had to be floored, -1 as
+        long as none had."""
+        return self._tally.first_floored
+
+    def advance(self, ticks: int) -> int:
+        """Learn from up to ``ticks`` more transitions each; returns how many."""
+        ahead = min(ticks, self.ticks - self.clock)
+        with self._mode():
+            for _ in range(ahead):
+                self._tick()
+        return ahead
+
+    def _mode(self) -> torch.no_grad | torch.inference_mode:
+        return torch.no_grad() if self.learner.needs_autograd else torch.inference_mode()
+
+    def _fetch(self, block: int) -> None:
+        """Bring the transitions of a block together, ``[BLOCK, B, ...]``."""
+        first = block * BLOCK
+        rows = np.stack(
+            [own[np.minimum(np.arange(first, first + BLOCK), len(own) - 1)] for own in self._order],
+            axis=1,
+        )
+        index = torch.from_numpy(rows).to(self.world.device)
+        self._here = (self._state[index], self._action[index], self._next[index])
+        self._here_dt = self._dt[rows]
+        self._block = block
+
+    def _tick(self) -> None:
+        block, row = divmod(self.clock, BLOCK)
+        if block != self._block:
+            self._fetch(block)
+        state, action, next_state = (part[row] for part in self._here)
+        dt = self._here_dt[row]
+        valid = (self._lengths > self.clock).numpy()
+        self.clock += 1
+        improve = self._schedule is not None and self._schedule.improves(self.clock)
+        # A learner's step knows one dt; learners of another one are left as they are by it.
+        for seconds in np.unique(dt[valid]).tolist():
+            own = torch.from_numpy(valid & (dt == seconds)).to(self.world.device)
+            length = torch.tensor(seconds, dtype=self.world.dtype, device=self.world.device)
+            transition = Transition(state, action, next_state, length, own)
+            self.learners, metrics = self.learner.step(self.learners, transition, improve=improve)
+            self._tally = self._tally.add(metrics, own)
+        self._seen += np.where(valid, dt, 0.0)
+
+    def climb(self, steps: int) -> int:
+        """Up to ``steps`` improvements of the policies that have not arrived, the models being what
+        they are; returns how many there were."""
+        with self._mode():
+            for done in range(steps):
+                if not bool(self.moving.any()):
+                    return done
+                self._climb()
+        return steps
+
+    def _climb(self) -> None:
+        learner, here = self.learner, self.learners
+        found = learner.value(here.model, here.policy, here.noise, self._some_states())
+        size = gradient_norm(found.gradient)
+        sound = torch.isfinite(found.value + size)
+        unit = learner.model.time_unit(self.world.seconds)
+        policy, memory = learner.step_rule(here.policy, found.gradient, here.step, unit)
+        goes = self.moving & sound
+        self.learners = replace(
+            here,
+            policy=_where(goes, policy, here.policy),
+            step=_where(goes, memory, here.step),
+        )
+        self.learners = replace(self.learners, limit=self._limit(goes))
+        unfitted, flags = torch.zeros_like(size), self._flags(sound)
+        self._note(Metrics(found.value, size, unfitted, flags, found.first_floored))
+        step = gradient_norm({name: policy[name] - here.policy[name] for name in policy})
+        self.steps = self.steps + goes
+        self.moving = goes & (step > self._tolerance * gradient_norm(policy))
+
+    def _limit(self, goes: Tensor) -> Parameters:
+        """The bounds of commands under the new policies."""
+        here = self.learners
+        if self.learner.command is None:
+            return here.limit
+        limit = self.learner.command(here.model, here.policy, here.noise, here.tick)
+        return {"limit": select(goes, limit, here.limit["limit"])}
+
+    def _flags(self, sound: Tensor) -> Tensor:
+        return torch.stack([torch.ones_like(sound), torch.ones_like(sound), sound])
+
+    def _note(self, metrics: Metrics) -> None:
+        """Value and gradient count; no transition was predicted."""
+        added = self._tally.add(metrics, self.moving)
+        self._tally = replace(added, error=self._tally.error, ticks=self._tally.ticks)
+
+    def _some_states(self) -> Tensor:
+        """A state of each learner's transitions to unroll from, ``[B, n]``."""
+        picked = [
+            own[generator.integers(len(own))]
+            for own, generator in zip(self._order, self._starts, strict=True)
+        ]
+        return self._next[torch.tensor(picked, device=self.world.device)]
+
+    def snapshot(self) -> Snapshot:
+        """The population now; the means begin anew.  Episodes and falls are those of all of the
+        data."""
+        sums, learners = self._tally, self.learners
+        self._tally = sums.begun_anew()
+        squares = [p.flatten(1).square().sum(-1) for p in learners.policy.values()]
+        own = [[e for e in self.episodes if e.row == row] for row in range(len(self.seeds))]
+        return Snapshot(
+            seconds=self.seconds,
+            seeds=self.seeds,
+            active=self.moving.tolist(),
+            episodes=[len(episodes) for episodes in own],
+            falls=[sum(e.outcome is Outcome.FAILED for e in episodes) for episodes in own],
+            rides=[sum(e.outcome is Outcome.SUCCEEDED for e in episodes) for episodes in own],
+            episode_seconds=[0.0] * len(self.seeds),
+            value=(sums.value / sums.updates).tolist(),
+            gradient=(sums.gradient / sums.updates).tolist(),
+            error=(sums.error / sums.ticks).tolist(),
+            policy_norm=torch.stack(squares).sum(0).sqrt().tolist(),
+        )
+
+
+def _where(mask: Tensor, yes: Parameters, no: Parameters) -> Parameters:
+    return {name: select(mask, yes[name], no[name]) for name in no}
+
+
+def learn(offline: Offline, steps: int, note: Callable[[], None], every: int) -> LearnerState:
+    """All transitions, then up to ``steps`` improvements; ``note`` is called after each ``every``
+    of either."""
+    while not offline.all_seen:
+        offline.advance(every)
+        note()
+    left = steps
+    while left > 0 and bool(offline.moving.any()):
+        left -= offline.climb(min(every, left))
+        note()
+    return offline.learners

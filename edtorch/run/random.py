@@ -1,0 +1,100 @@
+"""Random numbers as a pure function of (seed, purpose, tick).
+
+Each learner has a stream of its own: NumPy's counter-based Philox generator with the key
+(seed, purpose) and the number of a block of ticks as its counter (Salmon et al., "Parallel random
+numbers: as easy as 1, 2, 3", 2011).  Nothing has to be saved to continue a stream, and learner k of
+a population draws what it would draw alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from edtorch.run.scaled_sim import World
+
+BLOCK = 512
+"""Ticks drawn at once.  Part of the stream's definition: another value gives other numbers."""
+
+
+class Purpose(IntEnum):
+    """What a stream is for; each purpose is independent of the others."""
+
+    LEARNING = 0
+    EVALUATION = 1
+
+
+@dataclass(frozen=True)
+class Draw:
+    """The numbers of one tick: uniform ``[B, u]`` in [0, 1), normal ``[B, v]`` standard normal."""
+
+    uniform: Tensor
+    normal: Tensor
+
+
+def stream_key(seed: int, purpose: Purpose, episode: int = 0) -> tuple[int, int]:
+    """Key of the stream of a seed; ``episode`` tells fresh evaluation episodes apart."""
+    return seed, (int(purpose) << 32) + episode
+
+
+class Streams:
+    """The streams of a population, read tick by tick.
+
+    keys: one (word, word) per row of the batch, see ``stream_key``; uniforms, normals: how many
+    numbers of each kind a tick takes.
+    """
+
+    def __init__(
+        self,
+        keys: Sequence[tuple[int, int]],
+        uniforms: int,
+        normals: int,
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | None = None,
+    ) -> None:
+        self._keys = [np.array(key, dtype=np.uint64) for key in keys]
+        self._uniforms = uniforms
+        self._normals = normals
+        self._dtype = dtype
+        self._device = device
+        self._block = -1
+        self._uniform = torch.empty(0)
+        self._normal = torch.empty(0)
+
+    def at(self, tick: int) -> Draw:
+        """The numbers of ``tick`` (any order of ticks is allowed; rising order is fast)."""
+        uniform, normal = self.stored(tick)
+        return Draw(uniform.movedim(0, -1), normal.movedim(0, -1))
+
+    def stored(self, tick: int) -> tuple[Tensor, Tensor]:
+        """The same as it is stored, with the batch last: ``[u, B]`` and ``[v, B]``."""
+        block, row = divmod(tick, BLOCK)
+        if block != self._block:
+            self._fill(block)
+        return self._uniform[row], self._normal[row]
+
+    def _fill(self, block: int) -> None:
+        uniform = np.empty((len(self._keys), BLOCK, self._uniforms))
+        normal = np.empty((len(self._keys), BLOCK, self._normals))
+        for row, key in enumerate(self._keys):
+            generator = np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, block]))
+            generator.random(out=uniform[row])
+            generator.standard_normal(out=normal[row])
+        self._uniform, self._normal = self._laid_out(uniform), self._laid_out(normal)
+        self._block = block
+
+    def _laid_out(self, numbers: np.ndarray) -> Tensor:
+        """``[B, BLOCK, k]`` as it is stored: ``[BLOCK, k, B]``, the population innermost."""
+        turned = torch.from_numpy(numbers).to(self._dtype).permute(1, 2, 0).contiguous()
+        return turned.to(self._device)
+
+
+def learning_streams(world: World, seeds: Sequence[int]) -> Streams:
+    """What the learners of these seeds draw."""
+    keys = [stream_key(seed, Purpose.LEARNING) for seed in seeds]
+    return Streams(keys, world.uniforms, len(world.spec.action), world.dtype, world.device)

@@ -1,0 +1,194 @@
+"""One tick of a population of learners in their worlds, as pure functions of tensors.
+
+``Tick.live`` is the walk of Fig. 1 for everybody; ``Tick.turn`` begins new episodes where old ones
+have ended.  Neither asks a tensor for its number, so that both compile as they are
+(``edtorch.compiled.program``); a loop that runs them one by one may leave out a ``turn`` that
+nobody needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from edtorch.learner.learner import AnyLearner, Check
+from edtorch.learner.schedule import ALWAYS, Schedule
+from edtorch.run.random import Draw
+from edtorch.run.scaled_sim import World
+from edtorch.types import LearnerState, Metrics, Transition, replace, select, tree_dataclass
+from sims.base import Outcome
+
+
+@tree_dataclass
+class Experience:
+    """Where each learner of a population stands in its world; everything ``[B, ...]``.
+
+    world, start: the sim's state now and at the start of the episode; observation: scaled;
+    begun: tick at which the episode began; active: still learning; counters of finished episodes.
+    """
+
+    world: Tensor
+    start: Tensor
+    observation: Tensor
+    begun: Tensor
+    active: Tensor
+    episodes: Tensor
+    falls: Tensor
+    rides: Tensor
+
+
+@tree_dataclass
+class Tally:
+    """What ``Metrics`` add up to.
+
+    value, gradient: sums over ``updates`` of the policy, error: over ``ticks``, all float64
+    ``[B]``; finite ``[B, 3]``:
+    whether everything has been, by place (``edtorch.learner.learner.Check``); first_floored
+    ``[B]`` int64: the step of an unroll from which on a covariance first had to be floored, -1 if
+    none had.
+    """
+
+    value: Tensor
+    gradient: Tensor
+    updates: Tensor
+    error: Tensor
+    ticks: Tensor
+    finite: Tensor
+    first_floored: Tensor
+
+    @staticmethod
+    def zero(size: int, device: torch.device) -> Tally:
+        """Nothing yet."""
+        zero = torch.zeros(size, dtype=torch.float64, device=device)
+        finite = torch.ones(size, len(Check), dtype=torch.bool, device=device)
+        return Tally(zero, zero, zero, zero, zero, finite, torch.full((size,), -1, device=device))
+
+    def add(self, metrics: Metrics, active: Tensor) -> Tally:
+        """With one more tick of the active learners ``[B]``."""
+        floored = self.first_floored
+        if metrics.first_floored is not None:
+            fresh = active & (floored < 0)
+            floored = torch.where(fresh, metrics.first_floored, floored)
+        value, gradient, updates = self.value, self.gradient, self.updates
+        if metrics.value is not None and metrics.gradient is not None:
+            value = value.addcmul(metrics.value, active)
+            gradient = gradient.addcmul(metrics.gradient, active)
+            updates = updates + active
+        return Tally(
+            value=value,
+            gradient=gradient,
+            updates=updates,
+            error=self.error.addcmul(metrics.error, active),
+            ticks=self.ticks + active,
+            finite=self.finite & (metrics.finite | ~active).movedim(0, -1),
+            first_floored=floored,
+        )
+
+    def begun_anew(self) -> Tally:
+        """The sums at zero, what happened once kept."""
+        size, device = len(self.ticks), self.ticks.device
+        zero = Tally.zero(size, device)
+        return replace(zero, finite=self.finite, first_floored=self.first_floored)
+
+
+@tree_dataclass
+class Population:
+    """B learners, their worlds, and what was measured of them."""
+
+    learners: LearnerState
+    worlds: Experience
+    tally: Tally
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What all ticks of a training have in common.
+
+    most_episodes, most_rides: after which a learner is done, None for no limit; schedule: at which
+    ticks policies are improved.
+    """
+
+    learner: AnyLearner
+    world: World
+    most_episodes: int | None = None
+    most_rides: int | None = None
+    schedule: Schedule = ALWAYS
+
+    def first(self, learners: LearnerState, draw: Draw) -> Population:
+        """Everybody at the start of a first episode; draw: of tick 0."""
+        state = self.world.initial(draw.uniform)
+        size, device = state.shape[0], state.device
+        zero = torch.zeros(size, dtype=torch.int64, device=device)
+        everybody = torch.ones(size, dtype=torch.bool, device=device)
+        worlds = Experience(
+            world=state,
+            start=state,
+            observation=self.world.observe(state),
+            begun=zero,
+            active=everybody,
+            episodes=zero,
+            falls=zero,
+            rides=zero,
+        )
+        learners = self.learner.begin(learners, everybody, worlds.observation)
+        return Population(learners, worlds, Tally.zero(size, device))
+
+    def live(
+        self, here: Population, draw: Draw, clock: int | Tensor, *, improve: bool
+    ) -> tuple[Population, Tensor]:
+        """Act, let the worlds step, learn from it.
+
+        clock: number of this tick, from 1; improve: what ``schedule`` says of it.  Returns the
+        population and how its episodes stand, an ``Outcome`` as int64 ``[B]``, RUNNING for learners
+        that are done.
+        """
+        worlds, active = here.worlds, here.worlds.active
+        action = self.world.clip(self.learner.act(here.learners, worlds.observation, draw.normal))
+        state = self.world.step(worlds.world, action, draw.uniform)
+        observation = self.world.observe(state, worlds.observation)
+        seconds = self.world.seconds
+        applied = self.world.applied(state, action)
+        valid = self.world.stepped(state, active)
+        transition = Transition(worlds.observation, applied, observation, seconds, valid)
+        learners, metrics = self.learner.step(here.learners, transition, improve=improve)
+        state = select(active, state, worlds.world)
+        observation = select(active, observation, worlds.observation)
+        outcome = self.world.outcome(state, clock - worlds.begun)
+        population = Population(
+            learners,
+            replace(worlds, world=state, observation=observation),
+            here.tally.add(metrics, active),
+        )
+        return population, torch.where(active, outcome, int(Outcome.RUNNING))
+
+    def turn(
+        self, here: Population, outcome: Tensor, draw: Draw, clock: int | Tensor
+    ) -> Population:
+        """Count the episodes that have ended by ``outcome`` ``[B]``, and begin new ones within the
+        budget."""
+        worlds = here.worlds
+        ended = outcome != int(Outcome.RUNNING)
+        fell = outcome == int(Outcome.FAILED)
+        episodes, falls = worlds.episodes + ended, worlds.falls + fell
+        rides = worlds.rides + (ended & ~fell)
+        active = worlds.active
+        if self.most_episodes is not None:
+            active = active & (episodes < self.most_episodes)
+        if self.most_rides is not None:
+            active = active & (rides < self.most_rides)
+        fresh = ended & active
+        state = self.world.restart(worlds.world, fresh, draw.uniform)
+        experience = Experience(
+            world=state,
+            start=select(fresh, state, worlds.start),
+            observation=select(fresh, self.world.observe(state), worlds.observation),
+            begun=torch.where(fresh, clock, worlds.begun),
+            active=active,
+            episodes=episodes,
+            falls=falls,
+            rides=rides,
+        )
+        learners = self.learner.begin(here.learners, fresh, experience.observation)
+        return replace(here, learners=learners, worlds=experience)

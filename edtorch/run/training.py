@@ -1,0 +1,291 @@
+"""A population of learners at work in its worlds, and the record of what it does.
+
+Nothing here writes or prints: whoever runs the loop asks it for snapshots and records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from edtorch.learner.learner import AnyLearner
+from edtorch.learner.schedule import ALWAYS, Schedule
+from edtorch.run.episodes import Budget, Episode, Snapshot
+from edtorch.run.random import Streams, learning_streams
+from edtorch.run.recorder import Recorder
+from edtorch.run.scaled_sim import World
+from edtorch.run.tick import Experience, Population, Tick
+from edtorch.run.trail import Trail
+from edtorch.types import LearnerState, replace
+from sims.base import Outcome
+
+WATCHED = 16
+"""Learners of which the states are kept for pictures: the first ones."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What a tick did to the learners ``rows`` of a population, and to padding after them.
+
+    start, begun, episodes, active: as in ``Experience``, before the tick; world ``[B, k]``: as the
+    tick left it, new episodes not yet begun; outcome ``[B]``: an ``Outcome``, RUNNING where no
+    episode has ended.
+    """
+
+    clock: int
+    rows: slice
+    start: Tensor
+    begun: Tensor
+    episodes: Tensor
+    active: Tensor
+    world: Tensor
+    outcome: Tensor
+
+
+Note = Callable[[Sequence[Moment]], None]
+"""Takes moments of the same learners, in order."""
+
+
+class Stage(Protocol):
+    """A way to run ticks; it holds the population meanwhile."""
+
+    @property
+    def population(self) -> Population:
+        """The population now, ``[B, ...]``."""
+        ...
+
+    @property
+    def done(self) -> bool:
+        """Whether everybody has used up the budget."""
+        ...
+
+    def replace(self, population: Population) -> None:
+        """Go on with another one of the same size."""
+        ...
+
+    def run(self, clock: int, ticks: int, stride: int, note: Note) -> int:
+        """Run ticks ``clock + 1`` to ``clock + ticks``, fewer if everybody is done before.
+
+        Notes the ticks at which an episode ended and every ``stride``-th, several of the same
+        learners together, in order.  Returns how many ticks were run.
+        """
+        ...
+
+
+class Eager:
+    """Tick by tick, each operation by itself: for any learner and any world.
+
+    recorder: is shown every tick, None: nobody is.
+    """
+
+    def __init__(
+        self,
+        tick: Tick,
+        population: Population,
+        streams: Streams,
+        recorder: Recorder | None = None,
+    ) -> None:
+        self._tick = tick
+        self._streams = streams
+        self._recorder = recorder
+        self._everybody = slice(0, len(population.worlds.active))
+        self.population = population
+
+    @property
+    def done(self) -> bool:
+        """See ``Stage``."""
+        return not bool(self.population.worlds.active.any())
+
+    def replace(self, population: Population) -> None:
+        """See ``Stage``."""
+        self.population = population
+
+    def run(self, clock: int, ticks: int, stride: int, note: Note) -> int:
+        """See ``Stage``."""
+        for now in range(clock + 1, clock + ticks + 1):
+            draw = self._streams.at(now)
+            before = self.population.worlds
+            improve = self._tick.schedule.improves(now)
+            here, outcome = self._tick.live(self.population, draw, now, improve=improve)
+            if self._recorder is not None:
+                self._recorder.add(self.population, draw, here, outcome)
+            world = here.worlds.world
+            ended = bool(outcome.any())
+            if ended:
+                here = self._tick.turn(here, outcome, draw, now)
+            self.population = here
+            if ended or now % stride == 0:
+                moment = Moment(
+                    clock=now,
+                    rows=self._everybody,
+                    start=before.start,
+                    begun=before.begun,
+                    episodes=before.episodes,
+                    active=before.active,
+                    world=world,
+                    outcome=outcome,
+                )
+                note([moment])
+            if ended and self.done:
+                return now - clock
+        return ticks
+
+
+class Training:
+    """A population of learners, each in its own world, learning in lockstep.
+
+    seeds: one per learner; learner k draws from the stream of its seed alone, so that it does the
+    same in any population.  ``advance`` runs ticks; ``learners``, ``worlds`` and ``clock`` are the
+    whole state (``edtorch.run.checkpoint`` saves them).  recorder: keeps every transition, as long
+    as ``stage`` is the one of the beginning.
+    """
+
+    def __init__(
+        self,
+        learner: AnyLearner,
+        world: World,
+        seeds: Sequence[int],
+        budget: Budget,
+        trail_stride: int = 10,
+        schedule: Schedule = ALWAYS,
+        recorder: Recorder | None = None,
+    ) -> None:
+        self.learner = learner
+        self.world = world
+        self.seeds = list(seeds)
+        self.budget = budget
+        self.clock = 0
+        self.episodes: list[Episode] = []
+        self.tick = Tick(learner, world, budget.episodes, budget.rides, schedule)
+        streams = learning_streams(world, self.seeds)
+        first = self.tick.first(learner.initial(self.seeds), streams.at(0))
+        self.stage: Stage = Eager(self.tick, first, streams, recorder)
+        watched = first.worlds.world[:WATCHED]
+        self.trail = Trail(watched, trail_stride, world.limit_ticks // trail_stride + 2)
+        self.trail.append(watched, first.worlds.active[:WATCHED])
+        self._trail_start = [0] * self.trail.size
+        self._last_tick = (
+            None if budget.seconds is None else max(1, round(budget.seconds / world.dt))
+        )
+
+    @property
+    def learners(self) -> LearnerState:
+        """What the learners know."""
+        return self.stage.population.learners
+
+    @property
+    def worlds(self) -> Experience:
+        """Where they stand."""
+        return self.stage.population.worlds
+
+    @property
+    def finite(self) -> Tensor:
+        """``[3, B]``: whether everything has been so far, see ``edtorch.learner.learner.Check``."""
+        return self.stage.population.tally.finite.T
+
+    @property
+    def first_floored(self) -> Tensor:
+        """``[B]``: the step of an unroll from which on a covariance first had to be floored, -1 as
+        long as none had."""
+        return self.stage.population.tally.first_floored
+
+    def restore(
+        self, learners: LearnerState, worlds: Experience, clock: int, finite: Tensor
+    ) -> None:
+        """Go on from what another ``Training`` of the same seeds has reached."""
+        tally = replace(self.stage.population.tally, finite=finite.T)
+        self.stage.replace(Population(learners, worlds, tally))
+        self.clock = clock
+
+    @property
+    def done(self) -> bool:
+        """Whether every learner has used up its budget."""
+        return self.stage.done
+
+    @property
+    def seconds(self) -> float:
+        """Simulated seconds of the learner that has lived longest."""
+        return self.clock * self.world.dt
+
+    def advance(self, ticks: int) -> int:
+        """Run up to ``ticks`` ticks, fewer if everybody is done before; returns how many."""
+        with torch.no_grad() if self.learner.needs_autograd else torch.inference_mode():
+            return self._advance(ticks)
+
+    def _advance(self, ticks: int) -> int:
+        ahead = ticks if self._last_tick is None else min(ticks, self._last_tick - self.clock)
+        began = self.clock
+        if ahead > 0 and not self.done:
+            self.clock += self.stage.run(began, ahead, self.trail.stride, self._note)
+        if self.clock == self._last_tick:
+            population = self.stage.population
+            stopped = torch.zeros_like(population.worlds.active)
+            self.stage.replace(
+                replace(population, worlds=replace(population.worlds, active=stopped))
+            )
+        return self.clock - began
+
+    def _note(self, moments: Sequence[Moment]) -> None:
+        """Add to trail and episodes what ticks of the same learners did, in their order."""
+        ends: list[tuple[Moment, int, tuple[int, int]]] = []
+        for moment in moments:
+            if moment.rows.start == 0 and moment.clock % self.trail.stride == 0:
+                watched = slice(0, self.trail.size)
+                self.trail.append(moment.world[watched], moment.active[watched])
+            for index in moment.outcome.nonzero().flatten().tolist():
+                ends.append((moment, index, self._cut_trail(moment.rows.start + index)))
+        if ends:
+            self._record(ends)
+
+    def _cut_trail(self, row: int) -> tuple[int, int]:
+        """Where in the trail the episode of a learner was that has just ended."""
+        if row >= self.trail.size:
+            return 0, 0
+        began, self._trail_start[row] = self._trail_start[row], self.trail.position(row)
+        return began, self._trail_start[row]
+
+    def _record(self, ends: list[tuple[Moment, int, tuple[int, int]]]) -> None:
+        """Episodes that have ended: when, whose, and where in the trail."""
+        start = torch.stack([moment.start[index] for moment, index, _ in ends])
+        final = torch.stack([moment.world[index] for moment, index, _ in ends])
+        begun = [int(moment.begun[index]) for moment, index, _ in ends]
+        ticks = [moment.clock - first for (moment, _, _), first in zip(ends, begun, strict=True)]
+        seconds = torch.tensor(ticks, dtype=torch.float64, device=final.device) * self.world.dt
+        found = self.world.sim.measures(start, final, seconds)
+        measures = {name: figure.tolist() for name, figure in found.items()}
+        for place, (moment, index, trail) in enumerate(ends):
+            self.episodes.append(
+                Episode(
+                    row=moment.rows.start + index,
+                    number=int(moment.episodes[index]),
+                    start=begun[place] * self.world.dt,
+                    seconds=float(seconds[place]),
+                    outcome=Outcome(int(moment.outcome[index])),
+                    measures={name: figures[place] for name, figures in measures.items()},
+                    trail=trail,
+                )
+            )
+
+    def snapshot(self) -> Snapshot:
+        """The population now; the means begin anew."""
+        population = self.stage.population
+        here, sums = population.worlds, population.tally
+        self.stage.replace(replace(population, tally=sums.begun_anew()))
+        squares = [p.flatten(1).square().sum(-1) for p in population.learners.policy.values()]
+        return Snapshot(
+            seconds=self.seconds,
+            seeds=self.seeds,
+            active=here.active.tolist(),
+            episodes=here.episodes.tolist(),
+            falls=here.falls.tolist(),
+            rides=here.rides.tolist(),
+            episode_seconds=[t * self.world.dt for t in (self.clock - here.begun).tolist()],
+            value=(sums.value / sums.updates).tolist(),
+            gradient=(sums.gradient / sums.updates).tolist(),
+            error=(sums.error / sums.ticks).tolist(),
+            policy_norm=torch.stack(squares).sum(0).sqrt().tolist(),
+        )

@@ -1,0 +1,443 @@
+"""``transitions.npz``: recorded transitions, ours or somebody else's (docs/offline.md).
+
+Everything is in physical units on the outside and inside ``Recorded``.  Whatever is wrong with a
+file is said with its name and the row concerned.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from edtorch.run.checkpoint import FileProblem, write_atomically
+from edtorch.run.recorder import Lived, ended
+from sims.base import Quantity, Spec
+
+FORMAT = 1
+Invalid = Literal["refuse", "mask"]
+"""What is done about rows that are not what they should be."""
+
+_FLAGS = ("terminated", "truncated")
+_NUMBERS = ("state", "action", "next_state", "dt")
+_ROUNDINGS = 16
+"""Of a file's own precision, by which numbers may differ that should be equal."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """N transitions, those of an episode one after the other; numpy arrays, physical units.
+
+    state, next_state ``[N, n]``, action ``[N, m]`` (as applied), dt ``[N]`` in s; episode ``[N]``:
+    different numbers for different episodes; terminated, truncated ``[N]``: whether the episode
+    ends here, by itself or because somebody stopped; succeeded ``[N]``: whether it ends at the
+    goal; seed ``[N]``: of the learner that it was recorded from, -1 if that is not known; valid
+    ``[N]``: false where nothing is to be learned.
+    """
+
+    state: np.ndarray
+    action: np.ndarray
+    next_state: np.ndarray
+    dt: np.ndarray
+    episode: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    succeeded: np.ndarray
+    seed: np.ndarray
+    valid: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.dt)
+
+
+class Loaded(NamedTuple):
+    """A file's transitions, and what was wrong with rows that were masked."""
+
+    recorded: Recorded
+    masked: list[str]
+
+
+def gathered(lives: Sequence[Lived], seeds: Sequence[int], dt: float) -> Recorded:
+    """The lives of learners, one after the other, as transitions of ``dt`` seconds."""
+    episode = [life.episode for life in lives]
+    offset = 0
+    for index, own in enumerate(episode):
+        episode[index] = own + offset
+        offset += int(own[-1]) + 1 if len(own) else 0
+    number = np.concatenate(episode)
+    terminated, succeeded = ended(np.concatenate([life.outcome for life in lives]))
+    # The last of each: stopped by the time limit or by the end of the recording, if not over.
+    last = np.append(np.diff(number) != 0, np.ones(min(len(number), 1), dtype=bool))
+    lengths = [len(own) for own in episode]
+    return Recorded(
+        state=np.concatenate([life.state for life in lives]),
+        action=np.concatenate([life.action for life in lives]),
+        next_state=np.concatenate([life.next_state for life in lives]),
+        dt=np.full(len(number), dt),
+        episode=number,
+        terminated=terminated,
+        truncated=last & ~terminated,
+        succeeded=succeeded,
+        seed=np.repeat(np.array(seeds, dtype=np.int64), lengths),
+        valid=np.ones(len(number), dtype=bool),
+    )
+
+
+def _described(quantity: Quantity, *, periodic: bool) -> dict[str, Any]:
+    about: dict[str, Any] = {
+        "name": quantity.name,
+        "unit": quantity.unit,
+        "scale": quantity.scale,
+    }
+    return about | ({"period": quantity.period} if periodic else {})
+
+
+def _seeds(recorded: Recorded) -> list[dict[str, Any]]:
+    found = []
+    for seed in dict.fromkeys(recorded.seed.tolist()):
+        own = recorded.episode[recorded.seed == seed]
+        found.append({"seed": seed, "episodes": [int(own.min()), int(own.max()) + 1]})
+    return found
+
+
+def save_transitions(
+    path: Path, recorded: Recorded, spec: Spec, about: Mapping[str, Any] | None = None
+) -> None:
+    """Write the file, atomically; about: whatever else is to be said, such as the command."""
+    meta = {
+        "format": FORMAT,
+        "domain": spec.name,
+        "units": "physical",
+        "state": [_described(q, periodic=True) for q in spec.state],
+        "action": [_described(q, periodic=False) for q in spec.action],
+        "seeds": _seeds(recorded),
+        **(about or {}),
+    }
+    arrays = {name: getattr(recorded, name) for name in (*_NUMBERS, "episode", *_FLAGS)}
+
+    def write(partial: Path) -> None:
+        with partial.open("wb") as file:
+            np.savez(file, **arrays, succeeded=recorded.succeeded, meta=json.dumps(meta))
+
+    write_atomically(path, write)
+
+
+def load_transitions(path: Path, spec: Spec, invalid: Invalid = "refuse") -> Loaded:
+    """The transitions of a file that was recorded in the domain ``spec``.
+
+    A file that is not of the format, or of another domain, is refused; so are rows that are wrong,
+    or they are masked, as ``invalid`` says.  Raises FileProblem, which names file and row.
+    """
+    arrays = _arrays(path)
+    meta = _meta(path, arrays.pop("meta"))
+    rounding = _ROUNDINGS * max(
+        (float(np.finfo(arrays[n].dtype).eps) for n in _NUMBERS if arrays[n].dtype.kind == "f"),
+        default=float(np.finfo(np.float64).eps),
+    )
+    columns = {
+        "state": _columns(path, "state", meta, spec.state),
+        "action": _columns(path, "action", meta, spec.action),
+    }
+    _check_shapes(path, arrays, {kind: len(order) for kind, order in columns.items()})
+    units = _scales(path, meta, spec)
+    state, next_state = (
+        arrays[name].astype(np.float64)[:, columns["state"]] * units["state"]
+        for name in ("state", "next_state")
+    )
+    action = arrays["action"].astype(np.float64)[:, columns["action"]] * units["action"]
+    rows = len(state)
+    recorded = Recorded(
+        state=state,
+        action=action,
+        next_state=next_state,
+        dt=arrays["dt"].astype(np.float64),
+        episode=arrays["episode"].astype(np.int64),
+        terminated=arrays["terminated"].astype(bool),
+        truncated=arrays["truncated"].astype(bool),
+        succeeded=arrays["succeeded"].astype(bool),
+        seed=_seed_of_rows(path, meta, arrays["episode"]),
+        valid=np.ones(rows, dtype=bool),
+    )
+    wrong = _wrong(recorded, spec, rounding)
+    if wrong and invalid == "refuse":
+        first = min(wrong, key=lambda w: w.row)
+        others = int(np.logical_or.reduce([w.rows for w in wrong]).sum()) - 1
+        more = f" ({others} more rows are wrong in some way)" if others else ""
+        raise FileProblem(f"{path}: row {first.row}: {first.text}{more}")
+    for each in wrong:
+        recorded = replace(recorded, valid=recorded.valid & ~each.masked)
+    ends = _last_rows(recorded.episode)
+    truncated = recorded.truncated | (ends & ~recorded.terminated)
+    masked = [f"{path}: row {w.row}: {w.text} ({int(w.rows.sum())} such)" for w in wrong]
+    return Loaded(replace(recorded, truncated=truncated), masked)
+
+
+def joined(parts: Sequence[Recorded]) -> Recorded:
+    """Several files as one; their episodes get new numbers where they would be the same."""
+    renumbered, offset = [], 0
+    for part in parts:
+        _, numbers = np.unique(part.episode, return_inverse=True)
+        renumbered.append(replace(part, episode=numbers + offset))
+        offset += int(numbers.max()) + 1
+    return Recorded(
+        **{
+            f.name: np.concatenate([getattr(part, f.name) for part in renumbered])
+            for f in fields(Recorded)
+        }
+    )
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of the file, each what it is taken for."""
+    wanted = (*_NUMBERS, "episode", *_FLAGS, "meta")
+    try:
+        # Opened here, since numpy leaves open what is only half a file.
+        with path.open("rb") as opened:
+            file = np.load(opened, allow_pickle=False)
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise FileProblem(f"{path}: expected an .npz file of several arrays")
+            lacking = [name for name in wanted if name not in file.files]
+            if lacking:
+                raise FileProblem(f"{path}: lacks {', '.join(lacking)}")
+            arrays = {name: file[name] for name in wanted}
+            length = len(arrays["dt"]) if arrays["dt"].ndim else 0
+            if "succeeded" in file.files:
+                arrays["succeeded"] = file["succeeded"]
+            else:
+                arrays["succeeded"] = np.zeros(length, dtype=bool)
+    except FileProblem:
+        raise
+    except FileNotFoundError as error:
+        raise FileProblem(f"{path}: no such file") from error
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, TypeError) as error:
+        why = " ".join(str(error).split())
+        raise FileProblem(f"{path}: cannot be read as an .npz file of arrays ({why})") from error
+    for name, array in arrays.items():
+        kinds = "U" if name == "meta" else "fiu" if name in _NUMBERS else "iu"
+        kinds += "b" if name in (*_FLAGS, "succeeded") else ""
+        if array.dtype.kind not in kinds:
+            kind = {"U": "text", "fiu": "numbers", "iu": "integers", "iub": "true and false"}[kinds]
+            raise FileProblem(f"{path}: {name} holds {array.dtype}, expected {kind}")
+    return arrays
+
+
+def _meta(path: Path, text: np.ndarray) -> dict[str, Any]:
+    try:
+        meta = json.loads(str(text[()]))
+    except ValueError as error:
+        raise FileProblem(f"{path}: meta is not JSON ({error})") from error
+    if not isinstance(meta, dict):
+        raise FileProblem(f"{path}: meta: expected a JSON object")
+    if meta.get("format") != FORMAT:
+        raise FileProblem(f"{path}: meta.format={meta.get('format')}: expected {FORMAT}")
+    return meta
+
+
+def _columns(
+    path: Path, kind: str, meta: Mapping[str, Any], quantities: Sequence[Quantity]
+) -> list[int]:
+    """Where in the file each component of the domain is."""
+    listed = meta.get(kind)
+    if not isinstance(listed, list) or not all(
+        isinstance(q, dict) and isinstance(q.get("name"), str) for q in listed
+    ):
+        raise FileProblem(f"{path}: meta.{kind}: expected a list of objects with a name each")
+    names, known = [q["name"] for q in listed], [q.name for q in quantities]
+    for name in names:
+        if name not in known:
+            raise FileProblem(
+                f"{path}: meta.{kind}: {name!r} is none of the domain's {', '.join(known)}"
+            )
+    if sorted(names) != sorted(known):
+        raise FileProblem(f"{path}: meta.{kind}: {names}, expected each of {known} once")
+    for quantity in quantities:
+        about = listed[names.index(quantity.name)]
+        for field in ("unit", "period"):
+            found, wanted = about.get(field), getattr(quantity, field)
+            same = found is None or found == wanted
+            if isinstance(found, float) and isinstance(wanted, float):
+                same = math.isclose(found, wanted, rel_tol=1e-6)
+            if not same:
+                raise FileProblem(
+                    f"{path}: meta.{kind}: {quantity.name} has {field} {found}, expected {wanted}"
+                )
+    return [names.index(name) for name in known]
+
+
+def _scales(path: Path, meta: Mapping[str, Any], spec: Spec) -> dict[str, np.ndarray]:
+    """What the columns, in the order of the domain, are to be multiplied with."""
+    domain, units = meta.get("domain"), meta.get("units")
+    if domain != spec.name:
+        raise FileProblem(f"{path}: meta.domain={domain}: expected {spec.name}")
+    if units not in ("physical", "scaled"):
+        raise FileProblem(f"{path}: meta.units={units}: expected physical or scaled")
+    scales = {}
+    for kind, quantities in (("state", spec.state), ("action", spec.action)):
+        found = {q["name"]: q.get("scale") for q in meta[kind]}
+        for q in quantities:
+            if units == "scaled" and found[q.name] != q.scale:
+                raise FileProblem(
+                    f"{path}: meta.{kind}: {q.name} is scaled by {found[q.name]}, expected"
+                    f" {q.scale}, the domain's; physical units fit any scale"
+                )
+        own = [q.scale if units == "scaled" else 1.0 for q in quantities]
+        scales[kind] = np.array(own)
+    return scales
+
+
+def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], sizes: Mapping[str, int]) -> None:
+    rows = arrays["state"].shape[0] if arrays["state"].ndim else 0
+    if rows == 0:
+        raise FileProblem(f"{path}: holds no transitions")
+    n, m = sizes["state"], sizes["action"]
+    for name, array in arrays.items():
+        wanted = {"state": (rows, n), "next_state": (rows, n), "action": (rows, m)}.get(
+            name, (rows,)
+        )
+        if array.shape != wanted:
+            raise FileProblem(f"{path}: {name} has shape {array.shape}, expected {wanted}")
+
+
+def _seed_of_rows(path: Path, meta: Mapping[str, Any], episode: np.ndarray) -> np.ndarray:
+    seed = np.full(len(episode), -1, dtype=np.int64)
+    for place, each in enumerate(meta.get("seeds", [])):
+        try:
+            number, (first, after) = int(each["seed"]), map(int, each["episodes"])
+        except (TypeError, ValueError, KeyError) as error:
+            raise FileProblem(
+                f"{path}: meta.seeds[{place}]={each}: expected"
+                ' {"seed": K, "episodes": [FIRST, AFTER THE LAST]}'
+            ) from error
+        seed[(episode >= first) & (episode < after)] = number
+    return seed
+
+
+def _first_rows(episode: np.ndarray) -> np.ndarray:
+    return np.append(True, np.diff(episode) != 0)
+
+
+def _last_rows(episode: np.ndarray) -> np.ndarray:
+    return np.append(np.diff(episode) != 0, True)
+
+
+class _Wrong(NamedTuple):
+    """rows ``[N]``: what is wrong; masked ``[N]``: what is not to be learned from; row, text: the
+    first."""
+
+    rows: np.ndarray
+    masked: np.ndarray
+    row: int
+    text: str
+
+
+def _wrong(recorded: Recorded, spec: Spec, rounding: float) -> list[_Wrong]:
+    """Everything that is wrong with single rows."""
+    found: list[_Wrong] = []
+
+    def note(rows: np.ndarray, text: Any, masked: np.ndarray | None = None) -> None:
+        if rows.any():
+            row = int(np.flatnonzero(rows)[0])
+            found.append(_Wrong(rows, rows if masked is None else masked, row, text(row)))
+
+    names = {"state": spec.state, "next_state": spec.state, "action": spec.action}
+    sound = np.ones(len(recorded), dtype=bool)
+    for kind, quantities in names.items():
+        array = getattr(recorded, kind)
+        for column, quantity in enumerate(quantities):
+            bad = ~np.isfinite(array[:, column])
+            sound &= ~bad
+
+            def text(row: int, kind: str = kind, column: int = column, q: Quantity = quantity):
+                value = getattr(recorded, kind)[row, column]
+                return f"{kind} {q.name} is {value}, expected a finite number"
+
+            note(bad, text)
+    dt = recorded.dt
+    note(
+        ~(np.isfinite(dt) & (dt > 0)),
+        lambda row: f"dt is {dt[row]}, expected a finite number > 0 (s)",
+    )
+    _note_bounds(recorded, spec, rounding, note)
+    _note_episodes(recorded, spec, rounding, sound, note)
+    return found
+
+
+def _note_bounds(recorded: Recorded, spec: Spec, rounding: float, note: Any) -> None:
+    if not spec.clip_action:
+        return
+    for column, q in enumerate(spec.action):
+        given = recorded.action[:, column]
+        room = rounding * q.scale
+        note(
+            (given > q.high + room) | (given < q.low - room),
+            lambda row, given=given, q=q: (
+                f"action {q.name} is {given[row]:.6g}, expected the action as applied, within"
+                f" {q.low:g} to {q.high:g}"
+            ),
+        )
+
+
+def _note_episodes(
+    recorded: Recorded, spec: Spec, rounding: float, sound: np.ndarray, note: Any
+) -> None:
+    """Whether the rows of an episode follow one another, to its end."""
+    episode = recorded.episode
+    first, last = _first_rows(episode), _last_rows(episode)
+    piece = np.cumsum(first) - 1
+    # Each number's first piece is the episode; the others were put between other episodes.
+    starts = np.flatnonzero(first)
+    _, places = np.unique(episode[starts], return_index=True)
+    whole = np.zeros(len(starts), dtype=bool)
+    whole[places] = True
+    scattered = ~whole[piece]
+    note(
+        scattered & first,
+        lambda row: f"episode {episode[row]} goes on after another one, expected its rows together",
+        scattered,
+    )
+    over = recorded.terminated | recorded.truncated
+    before = np.cumsum(over) - over
+    late = (before - before[starts][piece]) > 0
+    note(
+        late,
+        lambda row: f"episode {episode[row]} goes on after its end (terminated or truncated)",
+    )
+    note(
+        last & ~over,
+        lambda row: (
+            f"episode {episode[row]} has no end at its last row: expected terminated or truncated"
+        ),
+        np.zeros(len(episode), dtype=bool),
+    )
+    note(
+        recorded.succeeded & ~recorded.terminated,
+        lambda row: f"episode {episode[row]} succeeded here, but is not terminated",
+        np.zeros(len(episode), dtype=bool),
+    )
+    inner = np.flatnonzero(~last & ~over & sound & np.append(sound[1:], False))
+    gap = recorded.next_state[inner] - recorded.state[inner + 1]
+    period = np.array([q.period for q in spec.state])
+    turns = np.where(period > 0, gap / np.where(period > 0, period, 1.0), 0.0)
+    gap = np.abs(gap - period * np.round(turns))
+    scale = np.array([q.scale for q in spec.state])
+    allowed = rounding * (scale + np.abs(recorded.state[inner + 1]))
+    broken = np.zeros(len(episode), dtype=bool)
+    broken[inner] = (gap > allowed).any(-1)
+
+    def text(row: int) -> str:
+        place = int(np.searchsorted(inner, row))
+        column = int((gap[place] > allowed[place]).argmax())
+        ends, follows = recorded.next_state[row, column], recorded.state[row + 1, column]
+        return (
+            f"next_state {spec.state[column].name} is {ends:.9g}, but the next row of the episode"
+            f" begins with {follows:.9g}"
+        )
+
+    # Which of the two is wrong is not known.
+    note(broken, text, broken | np.append(False, broken[:-1]))

@@ -1,0 +1,118 @@
+r"""The value of a linear closed loop under a quadratic reward, exactly, by recursion.
+
+With s' = A s, A = F + G theta, and r = -s'(Q + theta'R theta)s the unroll is a chain of matrix
+products, and its gradient follows from the adjoint
+
+    q_tau = -2 w_tau (Q + theta'R theta) s_tau,
+    lambda_T = q_T,  lambda_tau = q_tau + A' lambda_{tau+1},
+    dV/dA = sum_tau lambda_tau s_{tau-1}',
+    dV/dtheta = G' dV/dA - 2 R theta sum_tau w_tau s_tau s_tau'.
+
+Both sequences are built by doubling: with the powers A, A^2, A^4, ... all T states come from about
+log2(T) products (s_{j+k} = A^k s_j), and so do all adjoints (lambda_tau += A'^k lambda_{tau+k};
+after the step with k each lambda_tau holds 2k terms).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from edtorch.model.models import Model
+from edtorch.policy.policies import LinearPolicy
+from edtorch.types import Parameters
+from edtorch.value.linear.loop import closed, linear_loop
+from edtorch.value.unroll import ValueGradient
+
+
+def powers_of_two(matrix: Tensor, steps: int) -> list[Tensor]:
+    """A, A^2, A^4, ... up to the largest power of two below ``steps``; matrix ``[B, n, n]``."""
+    powers = [matrix]
+    while 2 ** len(powers) < steps:
+        powers.append(torch.bmm(powers[-1], powers[-1]))
+    return powers
+
+
+def forward_states(powers: list[Tensor], start: Tensor, steps: int) -> Tensor:
+    """s_0..s_T of s' = A s as columns ``[B, n, T + 1]``, from start s_0 ``[B, n]``."""
+    states = start.unsqueeze(-1)
+    for power in powers:
+        # Columns 0..k-1 become k..2k-1; the last power may need only some of them.
+        some = states[..., : steps + 1 - states.shape[-1]]
+        states = torch.cat([states, torch.bmm(power, some)], dim=-1)
+    if states.shape[-1] <= steps:
+        states = torch.cat([states, torch.bmm(powers[0], states[..., -1:])], dim=-1)
+    return states
+
+
+def adjoint_states(powers: list[Tensor], sources: Tensor) -> Tensor:
+    """lambda_1..lambda_T with lambda_tau = q_tau + A' lambda_{tau+1}, from q ``[B, n, T]``."""
+    adjoints = sources
+    for exponent, power in enumerate(powers):
+        shift = 2**exponent
+        head, tail = adjoints.split([adjoints.shape[-1] - shift, shift], dim=-1)
+        carried = torch.baddbmm(head, power.mT, adjoints[..., shift:])
+        adjoints = torch.cat([carried, tail], dim=-1)
+    return adjoints
+
+
+def mean_value_and_gradient(
+    drift: Tensor,
+    G: Tensor,
+    theta: Tensor,
+    start: Tensor,
+    *,
+    state_cost: Tensor,
+    action_cost: Tensor | None,
+    weights: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """V = -sum_tau w_tau s_tau'(Q + theta'R theta)s_tau along s' = A s, and dV/dtheta.
+
+    A = I + drift + G theta; drift ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start
+    ``[B, n]``, state_cost Q ``[n, n]``, action_cost R ``[m, m]`` or None for zero, weights w
+    ``[T]``.  Returns V ``[B]`` and its gradient ``[B, m, n]``.
+    """
+    steps = len(weights)
+    cost = state_cost.expand(drift.shape)
+    if action_cost is not None:
+        cost = cost + theta.mT @ action_cost @ theta
+    powers = powers_of_two(closed(drift, G, theta), steps)
+    states = forward_states(powers, start, steps)
+    before, after = states[..., :-1], states[..., 1:]
+    pull = torch.bmm(cost, after) * weights
+    value = -(pull * after).sum((-1, -2))
+    adjoints = adjoint_states(powers, -2 * pull)
+    # Sums over time, not a matrix product: a library's product of this size takes another path for
+    # a batch of one, and the digits of a learner would depend on its company.
+    through = (adjoints.unsqueeze(-2) * before.unsqueeze(-3)).sum(-1)
+    gradient = torch.bmm(G.mT, through)
+    if action_cost is not None:
+        second_moment = ((after * weights).unsqueeze(-2) * after.unsqueeze(-3)).sum(-1)
+        gradient = gradient - 2 * action_cost @ theta @ second_moment
+    return value, gradient
+
+
+@dataclass(frozen=True)
+class LinearMeanOnly:
+    """A ``ValuePath`` for linear model and policy, quadratic reward, mean-only transform.
+
+    dt: seconds of one step of the unroll; solve: (drift, G, theta, start) to value and gradient,
+    ``mean_value_and_gradient`` or another way to the same, with costs and weights bound.
+    """
+
+    model: Model
+    policy: LinearPolicy
+    dt: float
+    solve: Callable[[Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
+    needs_autograd: bool = False
+
+    def __call__(
+        self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
+    ) -> ValueGradient:
+        """See ``edtorch.value.unroll.ValuePath``; ValueError if the closed loop is not linear."""
+        loop = linear_loop(self.model, self.policy, model, policy, self.dt)
+        value, gradient = self.solve(loop.drift, loop.G, loop.theta, loop.start(state))
+        return ValueGradient(value, {"weight": loop.of_weight(gradient)})

@@ -1,0 +1,291 @@
+"""Learning from recorded transitions: exact where it is known, and the same as ``Learner.step``."""
+
+from __future__ import annotations
+
+from dataclasses import replace as with_fields
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from edtorch.learner.learner import Learner
+from edtorch.learner.schedule import Schedule
+from edtorch.model.features import Identity
+from edtorch.model.fit import RecursiveLeastSquares, SquaredError
+from edtorch.model.models import DerivativeModel
+from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.steps import PlainStep
+from edtorch.rewards import QuadraticReward
+from edtorch.run.episodes import Budget
+from edtorch.run.offline import Lessons, Offline, learn
+from edtorch.run.scaled_sim import World
+from edtorch.run.transitions_file import Recorded
+from edtorch.transform import FirstOrder
+from edtorch.types import LearnerState, Transition
+from edtorch.value.choose import choose_path
+from edtorch.value.linear.lqr import stationary_lqr
+from edtorch.value.unroll import FromOrigin, Horizon
+from sims.base import Outcome
+from sims.bicycle import Bicycle
+from sims.linear import LinearSystem
+from tests.recorded import F, G, Q, R, linear_learner, linear_world, lived
+from tests.systems import bicycle_learner, f64
+
+ALL = Budget(seconds=1e9)
+SEEDS = [3, 4, 5]
+WORLD = linear_world()
+NOISY = linear_world(0.1)
+_, EXACT = lived(WORLD, linear_learner(), SEEDS, 60.0)
+_, DATA = lived(NOISY, linear_learner(), SEEDS, 60.0)
+
+
+def learned(offline: Offline, steps: int = 20) -> LearnerState:
+    return learn(offline, steps, lambda: None, 7)
+
+
+def test_a_system_without_noise_is_found_and_so_is_its_regulator() -> None:
+    """W = [F G] to rounding, theta that of the infinite horizon, by another algorithm."""
+    offline = Offline(linear_learner(), WORLD, EXACT, SEEDS, Lessons(), ALL)
+    state = learned(offline)
+    truth = torch.cat([f64(F), f64(G)], dim=-1)
+    torch.testing.assert_close(state.model["weight"], truth.expand(3, 2, 3), rtol=0, atol=1e-9)
+    theta, _ = stationary_lqr(f64(F), f64(G), Q, R)
+    torch.testing.assert_close(state.policy["weight"], theta.expand(3, 1, 2), rtol=0, atol=1e-7)
+    # The way there is one step; the second finds that it is there.
+    assert offline.steps.tolist() == [2, 2, 2] and not bool(offline.moving.any())
+    assert offline.experience == [60.0] * 3 and bool(offline.finite.all())
+
+
+def test_the_gradient_climbs_to_the_top() -> None:
+    """Where a policy has arrived, its gradient is zero, and no other policy near by is better."""
+    learner = linear_learner()
+    model, policy = learner.model, learner.policy
+    horizon, noise_free = Horizon(6, 1.0, 1.0, 1.0), torch.eye(2).double()
+    path = choose_path(
+        "auto",
+        model,
+        policy,
+        QuadraticReward(Q, R),
+        FirstOrder(),
+        horizon,
+        noise=None,
+        start_cov=noise_free,
+    ).path
+    learner = with_fields(learner, value=FromOrigin(path), step_rule=PlainStep(0.02))
+    offline = Offline(learner, WORLD, EXACT, SEEDS, Lessons(), ALL, tolerance=1e-8)
+    state = learned(offline, 4000)
+    assert not bool(offline.moving.any())
+    assert all(2 < steps < 4000 for steps in offline.steps.tolist())
+    origin = torch.zeros(3, 2).double()
+    top = learner.value(state.model, state.policy, state.noise, origin)
+    assert float(top.gradient["weight"].abs().max()) < 1e-5
+    for shift in ([0.05, 0.0], [-0.05, 0.0], [0.0, 0.05], [0.0, -0.05]):
+        moved = {"weight": state.policy["weight"] + f64([shift])}
+        assert bool(
+            (learner.value(state.model, moved, state.noise, origin).value < top.value).all()
+        )
+
+
+def test_it_is_learner_step_fed_with_the_rows() -> None:
+    """To the last digit, learner by learner, whatever the others' lengths, improving or not."""
+    for schedule in (None, Schedule(first=5, every=3)):
+        learner = linear_learner()
+        budgets = {3: Budget(seconds=60.0), 4: Budget(episodes=3), 5: Budget(seconds=11.0)}
+        for row, (seed, budget) in enumerate(budgets.items()):
+            offline = Offline(learner, NOISY, DATA, [seed], Lessons(), budget, schedule=schedule)
+            while not offline.all_seen:
+                offline.advance(10)
+            state = learner.initial([seed])
+            rows = np.flatnonzero(DATA.seed == seed)[: [60, 24, 11][row]]
+            for tick, k in enumerate(rows, start=1):
+                s, a, after = (
+                    torch.from_numpy(part[k : k + 1])
+                    for part in (DATA.state, DATA.action, DATA.next_state)
+                )
+                valid = torch.ones(1, dtype=torch.bool)
+                transition = Transition(s, a, after, NOISY.seconds, valid)
+                improve = schedule is not None and schedule.improves(tick)
+                state, _ = learner.step(state, transition, improve=improve)
+            assert torch.equal(offline.learners.model["weight"], state.model["weight"])
+            assert torch.equal(offline.learners.policy["weight"], state.policy["weight"])
+            assert offline.learners.tick.tolist() == [len(rows)]
+
+
+def test_a_population_equals_its_members() -> None:
+    lessons = Lessons("bootstrap", "shuffled", 2)
+    together = learned(Offline(linear_learner(), NOISY, DATA, SEEDS, lessons, ALL))
+    for row, seed in enumerate(SEEDS):
+        alone = learned(Offline(linear_learner(), NOISY, DATA, [seed], lessons, ALL))
+        assert torch.equal(alone.model["weight"][0], together.model["weight"][row])
+        assert torch.equal(alone.policy["weight"][0], together.policy["weight"][row])
+    assert not torch.equal(together.model["weight"][0], together.model["weight"][1])
+
+
+def test_what_a_frozen_policy_lived_through_teaches_the_same_again() -> None:
+    """On the bicycle, in physical units and back: the model that was learned online."""
+    world = World(Bicycle())
+    learner = with_fields(bicycle_learner(world, fit=RecursiveLeastSquares()), exploration=1.0)
+    training, data = lived(world, learner, [1, 2], 5.0)
+    offline = Offline(learner, world, data, [1, 2], Lessons(), ALL)
+    state = learned(offline, 0)
+    online = training.learners
+    torch.testing.assert_close(state.model["weight"], online.model["weight"], rtol=1e-6, atol=1e-8)
+    assert state.tick.tolist() == online.tick.tolist() == [500, 500]
+    falls = [
+        sum(e.outcome is Outcome.FAILED for e in training.episodes if e.row == k) for k in (0, 1)
+    ]
+    assert min(falls) >= 2
+    assert offline.snapshot().falls == falls
+    found = [(e.row, e.number, e.outcome) for e in offline.episodes]
+    assert sorted(found) == sorted((e.row, e.number, e.outcome) for e in training.episodes)
+    for one, other in zip(
+        offline.episodes, sorted(training.episodes, key=lambda e: e.row), strict=True
+    ):
+        assert (one.start, one.seconds) == (
+            pytest.approx(other.start),
+            pytest.approx(other.seconds),
+        )
+
+
+def test_least_squares_does_not_mind_the_order_and_a_gradient_does() -> None:
+    for fit, minds in ((RecursiveLeastSquares(), False), (SquaredError(0.1), True)):
+        recorded, shuffled = (
+            learned(Offline(linear_learner(fit), NOISY, DATA, SEEDS, Lessons(order=order), ALL), 0)
+            for order in ("recorded", "shuffled")
+        )
+        difference = recorded.model["weight"] - shuffled.model["weight"]
+        assert (float(difference.abs().max()) > 1e-6) == minds
+
+
+def test_least_squares_of_two_passes_is_that_of_each_row_twice() -> None:
+    """Ridge regression with half the penalty, solved outright."""
+    twice = learned(
+        Offline(
+            linear_learner(RecursiveLeastSquares(2.0)), NOISY, DATA, [3], Lessons(passes=2), ALL
+        ),
+        0,
+    )
+    own = DATA.seed == 3
+    phi = np.concatenate([DATA.state[own], DATA.action[own]], axis=1)
+    wanted = np.linalg.solve(phi.T @ phi + 0.25 * np.eye(3), phi.T @ DATA.next_state[own]).T
+    np.testing.assert_allclose(twice.model["weight"][0].numpy(), wanted, rtol=1e-9)
+
+
+def test_everybody_s_data_for_everybody() -> None:
+    """share=all: every learner solves the same regression, over all rows."""
+    state = learned(Offline(linear_learner(), NOISY, DATA, [70, 71], Lessons(share="all"), ALL), 0)
+    phi = np.concatenate([DATA.state, DATA.action], axis=1)
+    wanted = np.linalg.lstsq(phi, DATA.next_state, rcond=None)[0].T
+    for row in range(2):
+        np.testing.assert_allclose(state.model["weight"][row].numpy(), wanted, atol=1e-7)
+
+
+def test_a_bootstrap_draws_whole_episodes() -> None:
+    lessons = Lessons(share="bootstrap")
+    rows = lessons.assigned(DATA, 11, ALL)
+    again, other = lessons.assigned(DATA, 11, ALL), lessons.assigned(DATA, 12, ALL)
+    assert np.array_equal(rows, again) and not np.array_equal(rows, other)
+    begins = np.flatnonzero(np.append(True, np.diff(DATA.episode) != 0))
+    starts = [k for k, row in enumerate(rows) if row in begins]
+    assert len(starts) == len(begins)
+    for piece in np.split(rows, starts[1:]):
+        assert np.array_equal(piece, np.flatnonzero(DATA.episode == DATA.episode[piece[0]]))
+
+
+def test_budgets_cut_the_data() -> None:
+    def count(budget: Budget, data: Recorded = DATA) -> int:
+        return len(Lessons().assigned(data, 4, budget))
+
+    assert [count(Budget(seconds=s)) for s in (60.0, 12.0, 1.0)] == [60, 12, 1]
+    assert [count(Budget(episodes=k)) for k in (1, 2, 99)] == [8, 16, 60]
+    # The first ride of seed 4 ends with its second episode.
+    succeeded = np.zeros(len(DATA), dtype=bool)
+    succeeded[60 + 15] = True
+    ridden = with_fields(DATA, succeeded=succeeded, terminated=succeeded)
+    assert count(Budget(rides=1), ridden) == 16
+    assert count(Budget(rides=2), ridden) == 60
+
+
+def test_only_what_is_within_bounds_is_learned_from() -> None:
+    """Rows beyond a bound may hold anything."""
+    far = np.abs(DATA.state[:, 0]) > 1.0
+    spoiled = with_fields(DATA, next_state=np.where(far[:, None], 1e6, DATA.next_state))
+    assert 10 < far.sum() < 170
+    lessons = Lessons(within=((0, 1.0),))
+    states = [
+        learned(Offline(linear_learner(), NOISY, data, SEEDS, lessons, ALL), 0)
+        for data in (DATA, spoiled)
+    ]
+    assert torch.equal(states[0].model["weight"], states[1].model["weight"])
+    offline = Offline(linear_learner(), NOISY, DATA, SEEDS, lessons, ALL)
+    assert sum(offline.unused) == far.sum() and offline.experience == [60.0] * 3
+
+
+def test_masked_rows_are_paid_for_but_not_learned_from() -> None:
+    valid = np.arange(len(DATA)) % 5 != 0
+    data = with_fields(DATA, valid=valid, state=np.where(valid[:, None], DATA.state, np.nan))
+    offline = Offline(linear_learner(), NOISY, data, SEEDS, Lessons(), ALL)
+    state = learned(offline, 0)
+    assert bool(state.model["weight"].isfinite().all()) and bool(offline.finite.all())
+    assert offline.used == [48] * 3 and offline.unused == [12] * 3
+    assert offline.experience == [60.0] * 3
+
+
+def test_transitions_of_any_length_teach_the_same_derivative() -> None:
+    """ds/dt = W (s, a) exactly, in rows of three lengths, mixed among the learners."""
+    generator = np.random.default_rng(0)
+    W = np.array([[0.0, 1.0, 0.0], [-2.0, -0.5, 3.0]])
+    size = 90
+    state, action = generator.normal(size=(size, 2)), generator.normal(size=(size, 1))
+    dt = generator.choice([0.01, 0.02, 0.05], size)
+    moved = np.concatenate([state, action], axis=1) @ W.T
+    data = Recorded(
+        state=state,
+        action=action,
+        next_state=state + dt[:, None] * moved,
+        dt=dt,
+        episode=np.arange(size),
+        terminated=np.ones(size, dtype=bool),
+        truncated=np.zeros(size, dtype=bool),
+        succeeded=np.zeros(size, dtype=bool),
+        seed=np.repeat([0, 1], [40, 50]),
+        valid=np.ones(size, dtype=bool),
+    )
+    world = World(LinearSystem(F, G, dt=0.01))
+    model = DerivativeModel(2, 1, Identity(3), torch.zeros(2).double())
+    policy = LinearPolicy(2, 1, Identity(2))
+    path = choose_path(
+        "auto",
+        model,
+        policy,
+        QuadraticReward(Q, R),
+        FirstOrder(),
+        Horizon(3, 0.05, 1.0, 0.05),
+        noise=None,
+        start_cov=torch.eye(2).double(),
+    ).path
+    learner = Learner(
+        model, policy, RecursiveLeastSquares(1e10), None, path, PlainStep(0.1), exploration=0.0
+    )
+    offline = Offline(learner, world, data, [0, 1], Lessons(), ALL)
+    weight = learned(offline, 0).model["weight"]
+    torch.testing.assert_close(weight, f64(W.tolist()).expand(2, 2, 3), rtol=0, atol=1e-6)
+    assert offline.experience == pytest.approx([dt[:40].sum(), dt[40:].sum()])
+
+
+def test_what_cannot_be_learned_from_is_refused() -> None:
+    def begin(lessons: Lessons, seeds: list[int], data: Recorded = DATA) -> None:
+        Offline(linear_learner(), NOISY, data, seeds, lessons, ALL)
+
+    with pytest.raises(ValueError, match=r"share=own: nothing is recorded of seed 9; .*3, 4, 5"):
+        begin(Lessons(), [3, 9])
+    nameless = with_fields(DATA, seed=np.full(len(DATA), -1))
+    with pytest.raises(ValueError, match=r"share=own: .* none: it names no seeds"):
+        begin(Lessons(), [3], nameless)
+    with pytest.raises(ValueError, match=r"seed 3 has 60 transitions and none to learn from"):
+        begin(Lessons(), [3], with_fields(DATA, valid=np.zeros(len(DATA), dtype=bool)))
+    wrongs: tuple[dict[str, Any], ...] = ({"share": "some"}, {"order": "backwards"}, {"passes": 0})
+    for wrong in wrongs:
+        with pytest.raises(ValueError, match=f"{next(iter(wrong))}="):
+            Lessons(**wrong)

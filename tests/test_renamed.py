@@ -1,0 +1,32 @@
+"""Old module names are the present modules."""
+
+import importlib
+
+import pytest
+
+import edtorch
+from edtorch.renamed import RENAMED, current_name
+
+assert edtorch.__version__  # importing the package installs the aliases
+
+
+@pytest.mark.parametrize("old", sorted(RENAMED))
+def test_an_old_name_is_the_present_module(old: str) -> None:
+    module = importlib.import_module(old)
+    assert module is importlib.import_module(RENAMED[old])
+    assert module.__name__ == RENAMED[old]
+    assert module.__spec__ is not None and module.__spec__.name == RENAMED[old]
+
+
+def test_what_lies_within_a_renamed_package() -> None:
+    assert current_name("edtorch.closed_form.lqr") == "edtorch.value.linear.lqr"
+    assert current_name("edtorch.closed_form.linear") == "edtorch.value.linear.loop"
+    assert current_name("edtorch.transform.first") is None
+    assert current_name("numpy") is None
+
+
+def test_a_name_that_never_was_is_not_found() -> None:
+    with pytest.raises(ModuleNotFoundError, match=r"edtorch\.fitting"):
+        importlib.import_module("edtorch.fitting")
+    with pytest.raises(ModuleNotFoundError):
+        importlib.import_module("edtorch.closed_form.nothing")
