@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from torch import Tensor
@@ -53,6 +53,31 @@ class Quantity:
 
 
 @dataclass(frozen=True)
+class Measure:
+    """A figure of finished episodes that a sim gives (``Sim.measures``).
+
+    name: its key there; label: words for tables and axes; unit: "" for a pure number; better:
+    which direction is; successes: whether it speaks of successful episodes only.
+    """
+
+    name: str
+    label: str
+    unit: str = ""
+    better: Literal["lower", "higher", "neither"] = "neither"
+    successes: bool = False
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a failure and a success of a domain are called, one and many."""
+
+    failure: str = "failure"
+    failures: str = "failures"
+    success: str = "success"
+    successes: str = "successes"
+
+
+@dataclass(frozen=True)
 class Spec:
     """The facts of a domain.
 
@@ -64,6 +89,7 @@ class Spec:
 
     A family of tasks has a goal among its state components, constant during an episode: ``goal``
     names them, and ``tracked``, of the same length, the components that they are wanted values of.
+    ``measures``: the figures of an episode that reports show; ``words``: what its ends are called.
     """
 
     name: str
@@ -77,6 +103,8 @@ class Spec:
     headline: str
     goal: tuple[str, ...] = ()
     tracked: tuple[str, ...] = ()
+    measures: tuple[Measure, ...] = ()
+    words: Words = Words()
 
 
 def spec_index(spec: Spec, names: Iterable[str]) -> list[int]:

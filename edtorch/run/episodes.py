@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from sims.base import Outcome
@@ -31,8 +32,11 @@ class Episode:
     """One finished episode of one learner (or of one evaluated policy).
 
     row: the learner's place in the population; start: simulated seconds of learning before it;
-    seconds: its length; measures: the sim's own figures of it; trail: first and last index
-    (exclusive) of its states in the ``Trail``, both 0 for learners that leave none.
+    seconds: its length; measures: the sim's own figures of it; total_reward: its return, the
+    environment's summed reward where it has one, else the sum over time of the configured reward in
+    physical units, NaN where there is neither; success: None where the domain knows none; trail:
+    first and last index (exclusive) of its states in the ``Trail``, both 0 for learners that leave
+    none.
     """
 
     row: int
@@ -42,6 +46,8 @@ class Episode:
     outcome: Outcome
     measures: dict[str, float]
     trail: tuple[int, int] = (0, 0)
+    total_reward: float = math.nan
+    success: bool | None = None
 
     @property
     def is_ride(self) -> bool:
