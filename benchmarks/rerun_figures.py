@@ -10,7 +10,8 @@ from torch import Tensor
 
 from benchmarks.episodes import episodes_of
 from benchmarks.rerun_material import FIGURE_2, FIGURE_3, Material
-from edtorch.app.build import build_actor, build_sim, policy_card
+from edtorch.app.domain import build_sim
+from edtorch.app.policy import build_actor, policy_card
 from edtorch.app.rundir import POLICY, load_config
 from edtorch.app.schemas import register
 from edtorch.report.figures import Ride, episode_lengths, one_ride, save_figure

@@ -16,8 +16,8 @@ from rich.console import Console
 from rich.table import Table
 
 from edtorch.app import schemas
-from edtorch.app.build import build_sim, changed_domain
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.domain import build_sim, changed_domain
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
 from edtorch.app.policies import acting_dtype, stored_policies
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions

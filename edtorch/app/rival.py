@@ -19,11 +19,12 @@ from rich.text import Text
 from torch import Tensor
 from torch.utils.tensorboard.writer import SummaryWriter
 
-from edtorch.app.build import build_policy, build_sim, policy_card
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct, target_class
+from edtorch.app.domain import build_sim
 from edtorch.app.errors import ConfigError
+from edtorch.app.policy import build_policy, policy_card
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
 from edtorch.compiled.compilation import Wish

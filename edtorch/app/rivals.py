@@ -20,13 +20,16 @@ from omegaconf import DictConfig
 from rich.console import Console
 from torch.utils.tensorboard.writer import SummaryWriter
 
-from edtorch.app.build import build_budget, build_policy, build_reward, build_sim, changed_domain
+from edtorch.app.budget import build_budget
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct
+from edtorch.app.domain import build_sim, changed_domain
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.inverse import has_inverse
 from edtorch.app.limit import variant
+from edtorch.app.policy import build_policy
+from edtorch.app.reward import build_reward
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
 from edtorch.app.summary import summary_table

@@ -1,0 +1,24 @@
+"""From the group ``train`` to a budget."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from edtorch.app.checks import at_least
+from edtorch.app.errors import ConfigError
+from edtorch.run.episodes import Budget
+
+
+def build_budget(config: Any) -> Budget:
+    """What a learner may use.  Raises ConfigError."""
+    if config.seconds is not None and not (math.isfinite(config.seconds) and config.seconds > 0):
+        raise ConfigError(f"train.seconds={config.seconds}: expected a finite number > 0, or null")
+    for name in ("episodes", "rides"):
+        if config[name] is not None:
+            at_least(f"train.{name}", config[name], 1)
+    if config.seconds is None and config.episodes is None and config.rides is None:
+        raise ConfigError(
+            "train.seconds=null, train.episodes=null, train.rides=null: expected a number for one"
+        )
+    return Budget(config.seconds, config.episodes, config.rides)

@@ -1,0 +1,27 @@
+"""From the group ``domain`` to a sim."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+from edtorch.app.construct import construct
+from edtorch.app.errors import ConfigError, unknown_key
+from sims.base import Sim
+
+
+def build_sim(config: Any) -> Sim:
+    """The domain."""
+    return construct("domain", config, "initial", "restart", "step", "observe", "outcome")
+
+
+def changed_domain(domain: Any, changes: Any, key: str) -> DictConfig:
+    """The domain's node with the changes asked for under ``key``; unknown names are refused."""
+    if not isinstance(domain, DictConfig):
+        raise ConfigError(f"domain={domain}: expected a mapping with a _target_")
+    known = sorted(str(k) for k in domain if k != "_target_")
+    for name, value in changes.items():
+        if name not in domain:
+            raise ConfigError(unknown_key(f"{key}.{name}={value}", f"{key}.{name}", known))
+    return cast(DictConfig, OmegaConf.merge(domain, changes))

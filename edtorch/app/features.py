@@ -1,0 +1,55 @@
+"""From ``model.features`` or ``policy.features`` to a feature map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from edtorch.app.construct import construct
+from edtorch.app.errors import ConfigError
+from edtorch.model.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
+from sims.base import Spec
+
+FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
+    "identity": Identity,
+    "affine": Affine,
+    "pairwise": Pairwise,
+    "trigonometric": Trigonometric,
+}
+
+
+def build_features(key: str, config: Any, inputs: int, spec: Spec, seed: int) -> FeatureMap:
+    """A feature map from its name, or from a ``_target_`` with its arguments."""
+    if not isinstance(config, DictConfig):
+        if config not in FEATURES:
+            raise ConfigError(
+                f"{key}={config}: expected one of {', '.join(FEATURES)},"
+                " or a mapping with a _target_"
+            )
+        return FEATURES[config](inputs)
+    generator = torch.Generator().manual_seed(seed)
+    more = {"generator": generator, "spec": spec} | (
+        {} if "inputs" in config else {"inputs": inputs}
+    )
+    features = construct(key, config, "forward", **more)
+    taken = getattr(features, "inputs", None)
+    if taken != inputs:
+        raise ConfigError(f"{key}.inputs={taken}: expected {inputs}, the size of what it is given")
+    if not isinstance(getattr(features, "outputs", None), int):
+        raise ConfigError(
+            f"{key}._target_={config._target_}: expected a feature map, which knows its outputs"
+        )
+    return features
+
+
+def features_of(
+    group: str, config: Any, inputs: int, spec: Spec, seed: int
+) -> tuple[FeatureMap, DictConfig]:
+    """The feature map of a model or policy, and the rest of its node."""
+    if not isinstance(config, DictConfig) or "features" not in config:
+        raise ConfigError(f"{group}={config}: expected a mapping with _target_ and features")
+    features = build_features(f"{group}.features", config.features, inputs, spec, seed)
+    return features, OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])

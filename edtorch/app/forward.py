@@ -1,0 +1,138 @@
+"""From a whole configuration to a learner with a forward model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import get_args
+
+import torch
+from omegaconf import DictConfig
+
+from edtorch.app.checks import at_least
+from edtorch.app.compute import Compute, check_memory
+from edtorch.app.construct import construct
+from edtorch.app.errors import ConfigError, under
+from edtorch.app.limit import build_command, build_exploration, check_start, needs_noise
+from edtorch.app.model import build_fit, build_model, build_noise
+from edtorch.app.observation import build_observer
+from edtorch.app.policy import build_policy
+from edtorch.app.reward import build_reward
+from edtorch.inverse.forward import tracking
+from edtorch.learner.learner import Learner
+from edtorch.model.models import DerivativeModel
+from edtorch.run.scaled_sim import World
+from edtorch.value.choose import Wish, choose_path
+from edtorch.value.error_estimate import ValueErrorIndicator
+from edtorch.value.linear.regulator import Regulator
+from edtorch.value.unroll import FromOrigin, Horizon
+
+STARTS = ("state", "origin")
+DIRECTIONS = ("gradient", "regulator")
+
+
+@dataclass(frozen=True)
+class Forward:
+    """A learner with a forward model; path, indicator, compiled: as in ``Setup``."""
+
+    learner: Learner
+    path: str
+    indicator: ValueErrorIndicator | None
+    compiled: Learner | None
+
+
+def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward:
+    """The learner of a whole configuration, for a world.  Raises ConfigError."""
+    sim, dtype, device = world.sim, compute.dtype, compute.device
+    model = build_model(config.model, world, dtype, config.seed).to(device)
+    policy = build_policy(config.policy, sim, dtype, config.seed).to(device)
+    reward = build_reward(config.reward, sim, dtype, device)
+    transform = construct(
+        "transform",
+        config.transform,
+        "move",
+        "reward",
+        "keeps_positive",
+        states=model.states,
+        generator=torch.Generator().manual_seed(config.seed),
+    )
+    fit = build_fit(config, world, model)
+    observer = build_observer(config.observation, world, model, fit)
+    with under("unroll"):
+        euler = isinstance(model, DerivativeModel)
+        step = config.unroll.dt if euler else world.dt
+        horizon = Horizon(
+            config.unroll.horizon,
+            step,
+            config.unroll.discount,
+            step if euler else 1.0,
+            config.unroll.reading,
+        )
+    noise = None
+    if transform.propagates_covariance or config.log.value_error or needs_noise(config.command):
+        noise = build_noise(config.noise, fit, model, step / world.dt if euler else 1.0)
+    if config.unroll.path not in get_args(Wish):
+        raise ConfigError(
+            f"unroll.path={config.unroll.path}: expected one of {', '.join(get_args(Wish))}"
+        )
+    at_least("unroll.start_deviation", config.unroll.start_deviation, 0)
+    if config.unroll.start_deviation > 0 and not transform.propagates_covariance:
+        raise ConfigError(
+            f"unroll.start_deviation={config.unroll.start_deviation}: expected 0 with this "
+            "transform, which leaves the covariance out; transform=first takes it in"
+        )
+    start_cov = config.unroll.start_deviation**2 * torch.eye(
+        model.states, dtype=dtype, device=device
+    )
+    try:
+        choice = choose_path(
+            config.unroll.path,
+            model,
+            policy,
+            reward,
+            transform,
+            horizon,
+            noise=noise,
+            start_cov=start_cov,
+        )
+    except ValueError as error:
+        raise ConfigError(f"unroll.path={config.unroll.path}: {error}") from error
+    path, reason, compilable = choice.path, choice.reason, choice.compiled
+    if config.unroll.direction not in DIRECTIONS:
+        raise ConfigError(
+            f"unroll.direction={config.unroll.direction}: expected one of {', '.join(DIRECTIONS)}"
+        )
+    if config.unroll.direction == "regulator":
+        with under("unroll"):
+            path = compilable = Regulator(model, policy, reward, horizon, start_cov)
+        reason = "Riccati recursion on the learned model"
+    tracked = tracking(model, policy, reward, transform, horizon)
+    if tracked is not None and config.unroll.path == "auto":
+        path, reason, compilable = tracked, "goal-tracking loop, its adjoint written out", None
+    if config.unroll.start not in STARTS:
+        raise ConfigError(
+            f"unroll.start={config.unroll.start}: expected one of {', '.join(STARTS)}"
+        )
+    if config.unroll.start == "origin":
+        path = FromOrigin(path)
+        compilable = None if compilable is None else FromOrigin(compilable)
+    check_start(config.command, world)
+    with under("noise"):
+        learner = Learner(
+            model=model,
+            policy=policy,
+            fit=fit,
+            noise=noise,
+            value=path,
+            step_rule=construct("step", config.step, "initial"),
+            exploration=build_exploration(config.noise, world.dt),
+            command=build_command(config.command, world, model, policy, noise),
+            observer=observer,
+        )
+    check_memory(learner, world, config.seeds)
+    indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
+    compiled = None
+    if observer is not None:
+        reason, compilable = f"{reason}; estimates of the state, which are not compiled", None
+    if compute.compiled and compilable is not None:
+        compiled = replace(learner, value=compilable)
+    return Forward(learner, reason, indicator, compiled)
