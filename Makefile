@@ -7,9 +7,8 @@ ARGS ?=
 # A browser for the tests of report.html; by default the one in the PATH.
 CHROMIUM ?=
 export CHROMIUM
-# What can be run; the others are what these share.  Those that learn for hours are run by name.
-BENCH ?= $(filter-out ablation cardea_figure rerun,\
-    $(patsubst benchmarks/%.py,%,$(shell grep -l __main__ benchmarks/*.py)))
+# The files that can be run; the others are shared by these.
+BENCH ?= $(patsubst benchmarks/%.py,%,$(shell grep -l __main__ benchmarks/*.py))
 
 VENV := .venv
 PY := $(VENV)/bin/python
@@ -66,14 +65,14 @@ format: $(VENV)/.dev  ## put the sources into the format that check wants
 	$(PY) -m ruff check --fix-only --quiet .
 	$(PY) -m ruff format .
 
-bench: $(VENV)/.bench  ## speed and accuracy, one file a question; BENCH="tick unroll" picks some
+bench: $(VENV)/.bench  ## speed, one file per question; BENCH="tick unroll" picks some
 	@set -e; for name in $(BENCH); do \
 	    echo "== $$name"; OMP_NUM_THREADS=1 $(PY) -m "benchmarks.$$name" $(ARGS); \
 	done
 
 # Cells that are there are kept: it can be stopped and continued.
 paper: $(VENV)/.paper  ## the paper, rerun into runs/reference/paper (hours); quick=1: in minutes
-	OMP_NUM_THREADS=1 $(PY) -m benchmarks.rerun --jobs $(JOBS) $(if $(quick),--quick) $(ARGS)
+	OMP_NUM_THREADS=1 $(PY) -m studies.rerun --jobs $(JOBS) $(if $(quick),--quick) $(ARGS)
 
 env: $(VENV)/.core  ## the environment, with edtorch in it
 dev: $(VENV)/.dev  ## the same with the tools of a developer

@@ -16,6 +16,8 @@ from typing import Any, NoReturn
 
 import yaml
 
+from edtorch.renamed import current_name
+
 CONFIG, SUMMARY, STATUS, ABOUT = "config.yaml", "summary.json", "status.json", "run.json"
 ABOUT_KINDS: dict[str, type] = {"versions": dict, "command": str, "git": str}
 """What is only shown, wherever it stands."""
@@ -66,11 +68,13 @@ class Run:
 
 
 def flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Leaves by full key; an empty mapping has none."""
+    """Leaves by full key; an empty mapping has none.  Targets have their present names."""
     leaves: dict[str, Any] = {}
     for key, value in node.items():
         if isinstance(value, Mapping):
             leaves |= flat(value, f"{prefix}{key}.")
+        elif key == "_target_" and isinstance(value, str):
+            leaves[f"{prefix}{key}"] = current_name(value) or value
         else:
             leaves[f"{prefix}{key}"] = value
     return leaves

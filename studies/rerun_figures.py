@@ -8,8 +8,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.episodes import episodes_of
-from benchmarks.rerun_material import FIGURE_2, FIGURE_3, Material
 from edtorch.app.domain import build_sim
 from edtorch.app.policy import build_actor, policy_card
 from edtorch.app.rundir import POLICY, load_config
@@ -20,6 +18,8 @@ from edtorch.report.runs import Run
 from edtorch.run.checkpoint import load_policy, policy_dtype
 from edtorch.run.evaluation import evaluate
 from edtorch.run.scaled_sim import World
+from studies.episodes import episodes_of
+from studies.rerun_material import FIGURE_2, FIGURE_3, Material
 
 STARTS = 1000
 """Of which the median of the shortest possible times is taken."""

@@ -1,6 +1,6 @@
 """The paper, rerun: its figures, its footnotes, and every method beside the published figures.
 
-    python -m benchmarks.rerun [--quick] [--cells benchmarks/rerun.yaml] [--output runs/paper]
+    python -m studies.rerun [--quick] [--cells studies/rerun.yaml] [--output runs/paper]
         [--keep runs/reference/paper] [--only TABLE/CELL ...] [--jobs N]
 
 Every cell is one run of edtorch-train in ``OUTPUT/TABLE/CELL``, made by the command that its
@@ -24,12 +24,12 @@ from typing import Any
 import yaml
 from hydra.errors import HydraException
 
-from benchmarks import cells as making
-from benchmarks.cells import REPORT, BadCells, Cell, named, overrides
-from benchmarks.rerun_figures import draw
-from benchmarks.rerun_material import Material
-from benchmarks.rerun_paper import write
 from edtorch.report.runs import Run, load
+from studies import cells as making
+from studies.cells import REPORT, BadCells, Cell, named, overrides
+from studies.rerun_figures import draw
+from studies.rerun_material import Material
+from studies.rerun_paper import write
 
 CELLS = Path(__file__).with_suffix(".yaml")
 QUICK_APART = 2

@@ -14,10 +14,6 @@ from typing import Any
 import torch
 import yaml
 
-from benchmarks.footnote_2 import Falls, zero_policy_falls
-from benchmarks.rerun_material import FIGURE_2, Material
-from benchmarks.rerun_methods import blocks as blocks_of_methods
-from benchmarks.rerun_methods import estimates, learnt, methods
 from edtorch.app.rundir import git_commit, json_text, versions
 from edtorch.report import samples
 from edtorch.report.document import median_cell, proportion, ranges
@@ -27,9 +23,13 @@ from edtorch.report.runs import STATUS, Run, rates
 from edtorch.report.statistics import Spread
 from edtorch.report.tables import Table, as_markdown
 from edtorch.run.checkpoint import write_text
+from studies.footnote_2 import Falls, zero_policy_falls
+from studies.rerun_material import FIGURE_2, Material
+from studies.rerun_methods import blocks as blocks_of_methods
+from studies.rerun_methods import estimates, learnt, methods
 
 PUBLISHED = Path(__file__).with_name("published.yaml")
-COMMAND = "python -m benchmarks.rerun"
+COMMAND = "python -m studies.rerun"
 CONDITIONS = ("five_features", "six_features")
 SHARES = {"goal": "goal", "stable": "stable_not_to_the_goal"}
 """Of footnote 1: their names here and in the summary of a search."""

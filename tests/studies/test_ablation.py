@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import ablation
-from benchmarks.ablation import CELLS, read_cells
-from benchmarks.cells import BadCells, wanted
-from tests.benchmarks.in_process import in_this_process
+from studies import ablation
+from studies.ablation import CELLS, read_cells
+from studies.cells import BadCells, wanted
+from tests.studies.in_process import in_this_process
 
 LINEAR = """
 seeds: 2

@@ -9,8 +9,8 @@ import yaml
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from benchmarks.cells import BadCells, Cell, chosen, is_done, wanted
 from edtorch.app import schemas
+from studies.cells import BadCells, Cell, chosen, is_done, wanted
 from tests.report.folders import learners
 
 

@@ -5,7 +5,7 @@ straight: it stabilises it if all eigenvalues but the heading's are inside the u
 keeps it on course if the heading's is as well.  Told is the first tick from which on that holds to
 the end of what is watched, over seeds.
 
-    python -m benchmarks.stabilising [--seeds 200] [--seed 0] [--seconds 10] [--json FILE]
+    python -m studies.stabilising [--seeds 200] [--seed 0] [--seconds 10] [--json FILE]
         [OVERRIDE ...]
 """
 

@@ -13,15 +13,15 @@ import pytest
 import yaml
 from hydra.errors import HydraException
 
-from benchmarks import rerun_paper
-from benchmarks.cells import BadCells, is_done, wanted
-from benchmarks.footnote_2 import Falls, zero_policy_falls
-from benchmarks.rerun import CELLS, QUICK_APART, Plan, read_plan
-from benchmarks.rerun_material import Material
-from benchmarks.rerun_methods import estimates, learnt
-from benchmarks.rerun_paper import PUBLISHED, beside, footnote_1, write
 from edtorch.report.proportions import Proportion
 from edtorch.report.runs import load
+from studies import rerun_paper
+from studies.cells import BadCells, is_done, wanted
+from studies.footnote_2 import Falls, zero_policy_falls
+from studies.rerun import CELLS, QUICK_APART, Plan, read_plan
+from studies.rerun_material import Material
+from studies.rerun_methods import estimates, learnt
+from studies.rerun_paper import PUBLISHED, beside, footnote_1, write
 from tests.app.conftest import environment
 from tests.report.folders import learners, spread
 from tests.report.folders import write as write_run
@@ -306,7 +306,7 @@ def test_quick(tmp_path: Path) -> None:
 
     def rerun() -> str:
         root = str(Path(__file__).parents[2])
-        command = [sys.executable, "-m", "benchmarks.rerun", "--quick"]
+        command = [sys.executable, "-m", "studies.rerun", "--quick"]
         done = subprocess.run(
             command,
             cwd=tmp_path,

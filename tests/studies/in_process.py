@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import cells
-from benchmarks.cells import Cell
+from studies import cells
+from studies.cells import Cell
 from tests.app.conftest import call
 
 

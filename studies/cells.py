@@ -2,7 +2,7 @@
 
 A cell is a folder and the overrides of one run.  One whose folder holds a finished run of the same
 configuration is done, one that was interrupted is begun anew, and one that holds anything else is
-left alone and named.  ``benchmarks.ablation`` and ``benchmarks.rerun`` are made of such.
+left alone and named.  ``studies.ablation`` and ``studies.rerun`` are made of such.
 """
 
 from __future__ import annotations

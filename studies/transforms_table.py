@@ -1,6 +1,6 @@
-"""The table of docs/theory.md from the results of benchmarks/transforms.py.
+"""The table of docs/theory.md from the results of studies/transforms.py.
 
-    python benchmarks/transforms_table.py [--json runs/reference/transforms.json] [--docs PATH]
+    python studies/transforms_table.py [--json runs/reference/transforms.json] [--docs PATH]
 
 Without --docs it only prints the table.
 """

@@ -6,7 +6,7 @@ and for the value (`medians`) also the ratio of the medians.  Cost is
 CPU time of value and gradient with respect to the policy, transforms taking turns within one run,
 as a ratio to ``first``.  Writes JSON beside the table:
 
-    python -m benchmarks.transforms [--sizes 1 2 5 14] [--systems 60] [--json FILE]
+    python -m studies.transforms [--sizes 1 2 5 14] [--systems 60] [--json FILE]
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def main() -> None:
         print(f"{'first, own J':15}{'':81}{own:7.1f}{ratio:7.2f}", flush=True)
     content = {
         "command": (
-            f"python -m benchmarks.transforms --sizes {' '.join(map(str, options.sizes))} "
+            f"python -m studies.transforms --sizes {' '.join(map(str, options.sizes))} "
             f"--systems {options.systems} --samples {options.samples} --nl {options.nl} "
             f"--v0 {options.v0} --noise {options.noise}"
         ),

@@ -6,7 +6,6 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.rerun_material import Material
 from edtorch.report import samples
 from edtorch.report.comparison import Estimate, estimate
 from edtorch.report.document import median_cell
@@ -14,6 +13,7 @@ from edtorch.report.groups import Group, places
 from edtorch.report.quantities import TITLES, TO_GOAL, TO_STABLE, Quantity, never_rode, sample
 from edtorch.report.runs import Run
 from edtorch.report.tables import Table, as_markdown
+from studies.rerun_material import Material
 
 HOW = (
     "Median over the seeds with its 95 % bootstrap interval"

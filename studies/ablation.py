@@ -1,6 +1,6 @@
 """What each ingredient is worth: added to the paper's settings, and taken from the best.
 
-    python -m benchmarks.ablation [--cells benchmarks/ablation.yaml] [--output runs/ablation]
+    python -m studies.ablation [--cells studies/ablation.yaml] [--output runs/ablation]
         [--only TABLE/CELL ...] [--seeds N] [--jobs N] [--keep FOLDER]
 
 Every cell of the tables is one run of edtorch-train with all seeds as one population, in
@@ -19,8 +19,8 @@ from pathlib import Path
 
 import yaml
 
-from benchmarks import cells as making
-from benchmarks.cells import REPORT, BadCells, Cell, named, overrides
+from studies import cells as making
+from studies.cells import REPORT, BadCells, Cell, named, overrides
 
 CELLS = Path(__file__).with_suffix(".yaml")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from benchmarks.stabilising import first_for_good, radii
 from sims.bicycle import RANDLOV, semi_implicit
 from sims.bicycle.lqr import ACTION_COST, STATE_COST, linearised, regulator
+from studies.stabilising import first_for_good, radii
 from tests.systems import f64
 
 

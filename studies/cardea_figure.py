@@ -1,6 +1,6 @@
 """The paper's Figure 3 of several runs at once, from what their folders hold.
 
-    python -m benchmarks.cardea_figure FOLDER FILE LABEL=RUN [LABEL=RUN ...]
+    python -m studies.cardea_figure FOLDER FILE LABEL=RUN [LABEL=RUN ...]
 
 Writes ``FILE.png`` and ``FILE.svg`` into ``FOLDER``.
 """
@@ -10,9 +10,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from benchmarks.episodes import episodes_of
 from edtorch.report.figures import save_figure
 from edtorch.report.reaching import PANELS, reaching_curve
+from studies.episodes import episodes_of
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ Gaussian noise, weak (v0 .02), ten steps from a known state, exact constants, er
 Monte Carlo; medians over systems and steps of the ratios whose error Monte Carlo resolves (more
 than 8 standard errors, and not rounding).  Makes the first table of docs/theory.md, and JSON:
 
-    python -m benchmarks.bounds [--json FILE] [--docs docs/theory.md]
+    python -m studies.bounds [--json FILE] [--docs docs/theory.md]
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def main() -> None:
         lines.append(f"| {n} | {' | '.join(cells)} |")
         print(lines[-1], flush=True)
     content = {
-        "command": "python -m benchmarks.bounds",
+        "command": "python -m studies.bounds",
         "systems_and_samples": SIZES,
         "results": results,
     }

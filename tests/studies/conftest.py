@@ -1,0 +1,3 @@
+"""Tests of this folder compose configurations."""
+
+from tests.config_store import hydra as hydra
