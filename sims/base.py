@@ -56,8 +56,10 @@ class Quantity:
 class Measure:
     """A figure of finished episodes that a sim gives (``Sim.measures``).
 
-    name: its key there; label: words for tables and axes; unit: "" for a pure number; better:
-    which direction is; successes: whether it speaks of successful episodes only.
+    name: its key there, with the unit as suffix; label: words for tables and axes; unit: "" for a
+    pure number; better: which direction is.  successes: whether it describes only episodes that
+    end ``SUCCEEDED`` (a time to the goal); reports give the median of those, and of any other
+    measure the mean over all episodes.  median: key of the median beside that mean, "" for none.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Measure:
     unit: str = ""
     better: Literal["lower", "higher", "neither"] = "neither"
     successes: bool = False
+    median: str = ""
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,9 @@ class Spec:
     A family of tasks has a goal among its state components, constant during an episode: ``goal``
     names them, and ``tracked``, of the same length, the components that they are wanted values of.
     ``measures``: the figures of an episode that reports show; ``words``: what its ends are called.
+    ``timeout_succeeds``: whether an episode that reaches the time limit without a failure is a
+    success, None where the domain does not say.  ``shortest``: name of the measure that is the
+    least time in which an episode can succeed, s, "" where the sim knows none.
     """
 
     name: str
@@ -105,6 +111,13 @@ class Spec:
     tracked: tuple[str, ...] = ()
     measures: tuple[Measure, ...] = ()
     words: Words = Words()
+    timeout_succeeds: bool | None = None
+    shortest: str = ""
+
+
+LOST = "lost"
+"""Name of the measure that is 1 for an episode that ended for a reason outside the world, such as a
+process that died.  Reports count such episodes."""
 
 
 def spec_index(spec: Spec, names: Iterable[str]) -> list[int]:

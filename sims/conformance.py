@@ -43,6 +43,9 @@ def check(
         measures = _check_batch(make, batch, steps, generator)
         names = set(measures) if names is None else names
         _expect(set(measures) == names, spec, f"measures: {set(measures)} and {names}")
+    declared = {measure.name for measure in spec.measures} | ({spec.shortest} - {""})
+    missing = declared - (names or set())
+    _expect(not missing, spec, f"spec.measures: {missing} not among the measures")
     if (5,) in batches and (1,) in batches:
         _check_singles(make, steps, generator)
 

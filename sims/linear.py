@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from sims.base import Outcome, Quantity, Spec
+from sims.base import Measure, Outcome, Quantity, Spec
 
 
 class LinearSystem:
@@ -63,6 +63,8 @@ class LinearSystem:
             reset_dim=F.shape[0],
             clip_action=False,
             headline="s0",
+            measures=(Measure("final_size", "size of the last state", "", "lower"),),
+            timeout_succeeds=True,
         )
 
     @property

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from sims.angles import atan2
-from sims.base import Outcome, Quantity, Spec
+from sims.base import Measure, Outcome, Quantity, Spec, Words
 from sims.bicycle.life import CHANGING, DRAWN, changed, factors, multiplied
 from sims.bicycle.optimum import shortest_length, steady_handlebar
 from sims.bicycle.physics import (
@@ -46,6 +46,10 @@ __all__ = [
 
 GOAL = (1000.0, 0.0)
 """Where the bicycle is to go, m; it starts with its back tyre at the origin."""
+
+GOAL_RATE = Measure("goal_rate", "share that reaches the goal", "", "higher")
+GOAL_TIME = Measure("goal_time_s", "time to the goal", "s", "lower", successes=True)
+PATH_LENGTH = Measure("path_length_m", "length of path", "m", "lower", successes=True)
 
 HANDLEBAR_FIRST = ("handlebar", "handlebar_rate", "lean", "lean_rate", "angle_to_goal")
 """The order of features in the older literature; for use with ``sims.base.spec_index``."""
@@ -317,6 +321,18 @@ class Bicycle:
             reset_dim=self._reset_dim,
             clip_action=self.clip_action,
             headline="angle_to_goal",
+            measures=(
+                GOAL_RATE,
+                GOAL_TIME,
+                Measure(
+                    "goal_time_over_shortest", "time over the shortest possible", "", "lower", True
+                ),
+                PATH_LENGTH,
+                Measure("shortest_time_s", "shortest possible time", "s", successes=True),
+            ),
+            words=Words("fall", "falls", "ride", "rides"),
+            timeout_succeeds=True,
+            shortest="shortest_time_s",
         )
 
     @property
@@ -441,10 +457,11 @@ class Bicycle:
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Figures of finished rides, each ``[*batch]``; seconds ``[*batch]``.
 
-        goal_time_s: how long the ride took, NaN if it did not end at the goal.  path_length_m:
-        the length of the path of the tyres, each of which goes v dt in every step, whatever the
-        rider does.  shortest_time_s: about the least that the way from ``start`` can take
-        (``sims.bicycle.optimum``).
+        goal_rate: 1 if the ride ended at the goal, else 0.  goal_time_s: how long it took, NaN if
+        it did not end there.  shortest_time_s: about the least time that the way from ``start`` can
+        take (``sims.bicycle.optimum``).  goal_time_over_shortest: goal_time_s over that.
+        path_length_m: the length of the path of the tyres, each of which goes v dt in every step,
+        whatever the rider does.
         """
         succeeded = self.outcome(final) == int(Outcome.SUCCEEDED)
         # With the constants at the start: nearly all of the turning is done there.
@@ -455,10 +472,14 @@ class Bicycle:
             physics=self.constants(start),
             handlebar=None if self.lasting else self._steady_handlebar,
         )
+        shortest_time = self._riding_time(start, shortest)
+        goal_time = torch.where(succeeded, seconds, math.nan)
         return {
-            "goal_time_s": torch.where(succeeded, seconds, math.nan),
+            "goal_rate": succeeded.to(seconds.dtype),
+            "goal_time_s": goal_time,
+            "goal_time_over_shortest": goal_time / shortest_time,
             "path_length_m": self.path_length(start, seconds),
-            "shortest_time_s": self._riding_time(start, shortest),
+            "shortest_time_s": shortest_time,
         }
 
     def path_length(self, start: Tensor, seconds: Tensor) -> Tensor:

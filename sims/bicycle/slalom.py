@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sims.base import Outcome, Spec
-from sims.bicycle.bicycle import Bicycle, angle_to
+from sims.base import Measure, Outcome, Spec
+from sims.bicycle.bicycle import GOAL_RATE, GOAL_TIME, PATH_LENGTH, Bicycle, angle_to
 
 _GOAL_RADIUS = Bicycle.goal_radius
 _COURSE = 3
@@ -75,7 +75,20 @@ class Slalom(Bicycle):
 
     @cached_property
     def _spec(self) -> Spec:
-        return replace(super()._spec, name="slalom")
+        passed = Measure("gates_passed", "gates passed", "", "higher")
+        missed = Measure("gates_missed", "gates missed", "", "lower")
+        return replace(
+            super()._spec,
+            name="slalom",
+            measures=(
+                replace(GOAL_RATE, label="share that passes all gates"),
+                replace(GOAL_TIME, label="time through all gates"),
+                PATH_LENGTH,
+                passed,
+                missed,
+            ),
+            shortest="",
+        )
 
     def _middle(self, gate: Tensor) -> tuple[Tensor, Tensor]:
         """Where the middle of the gate after ``gate`` ``[*batch]`` others is, or of the last."""
@@ -135,12 +148,14 @@ class Slalom(Bicycle):
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Figures of finished rides, each ``[*batch]``; seconds ``[*batch]``.
 
-        goal_time_s: how long the ride took, NaN unless all gates were passed; path_length_m: as for
-        the bicycle; gates_passed, gates_missed: the rest was not reached.
+        goal_rate: 1 if all gates were passed, else 0; goal_time_s: how long the ride took, NaN
+        unless they were; path_length_m: as for the bicycle; gates_passed, gates_missed: the rest
+        was not reached.
         """
         succeeded = self.outcome(final) == int(Outcome.SUCCEEDED)
         gate, passed = final[..., self.width], final[..., self.width + 1]
         return {
+            "goal_rate": succeeded.to(seconds.dtype),
             "goal_time_s": torch.where(succeeded, seconds, math.nan),
             "path_length_m": self.path_length(start, seconds),
             "gates_passed": passed,

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sims.base import Outcome, Quantity, Spec
+from sims.base import LOST, Measure, Outcome, Quantity, Spec, Words
 from sims.cardea.arm import HIGH, LOW, slant, wrist
 from sims.cardea.physics import JOINTS, URDF, Robot, Step, pybullet, robot, step_rows
 from sims.cardea.poses import STOPS, check_start, draw_goal, draw_start, goal_angles
@@ -180,6 +180,20 @@ class Cardea:
             headline="shoulder_pitch",
             goal=_STATE[_GOAL],
             tracked=_STATE[_Q],
+            measures=(
+                Measure(
+                    "joint_error_rad",
+                    "error of the joints",
+                    "rad",
+                    "lower",
+                    median="joint_error_median_rad",
+                ),
+                Measure("joint_speed_rad_s", "speed of the joints", "rad/s", "lower"),
+                Measure("wrist_error_cm", "distance of the wrist", "cm", "lower"),
+                Measure("level_error_deg", "slant of the hand", "degrees", "lower"),
+            ),
+            words=Words("crash", "crashes", "reach", "reaches"),
+            timeout_succeeds=False,
         )
 
     def initial(self, uniforms: Tensor) -> Tensor:
@@ -269,7 +283,7 @@ class Cardea:
             "level_error_deg": slant(q).rad2deg(),
         }
         if self.workers:
-            measures["lost"] = (final[..., _TROUBLE] == int(Trouble.LOST)).to(final.dtype)
+            measures[LOST] = (final[..., _TROUBLE] == int(Trouble.LOST)).to(final.dtype)
         return measures
 
     def inverse_dynamics(self, state: Tensor, acceleration: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sims.base import Sim, Spec
+from sims.base import Measure, Sim, Spec
 from sims.bicycle import Bicycle, Physics, explicit_euler
 from sims.bicycle.slalom import Slalom
 from sims.conformance import check
@@ -154,7 +154,14 @@ class Mismeasured(Bicycle):
         return {"seconds": seconds.sum()}
 
 
-@dataclass(frozen=True)
+class Undeclared(Bicycle):
+    """Declares a measure that it does not give."""
+
+    @property
+    def spec(self) -> Spec:
+        return replace(super().spec, measures=(Measure("style", "style"),))
+
+
 class Misnamed(Bicycle):
     """Shows a component that it has not."""
 
@@ -203,6 +210,7 @@ class Goalless(Bicycle):
         (Undecided, "none of Outcome"),
         (Floating, "outcome is torch.float64"),
         (Mismeasured, "measures.seconds"),
+        (Undeclared, "spec.measures: {'style'} not among"),
         (Misnamed, "headline"),
         (Short, "observation of shape"),
         (MovingGoal, "the goal has moved"),

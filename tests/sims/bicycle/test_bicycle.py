@@ -159,6 +159,9 @@ def test_measures() -> None:
     assert float(measures["goal_time_s"][0]) == 360 and math.isnan(measures["goal_time_s"][1])
     assert measures["path_length_m"].tolist() == pytest.approx([1000, 10])
     assert measures["shortest_time_s"].tolist() == pytest.approx([356.0, 356.0], abs=0.01)
+    assert measures["goal_rate"].tolist() == [1, 0]
+    ratio = measures["goal_time_over_shortest"]
+    assert float(ratio[0]) == pytest.approx(360 / 356, rel=1e-4) and math.isnan(ratio[1])
 
 
 def test_path_length_is_speed_times_time() -> None:
