@@ -93,8 +93,8 @@ class Spec:
     A family of tasks has a goal among its state components, constant during an episode: ``goal``
     names them, and ``tracked``, of the same length, the components that they are wanted values of.
     ``measures``: the figures of an episode that reports show; ``words``: what its ends are called.
-    ``timeout_succeeds``: whether an episode that reaches the time limit without a failure is a
-    success, None where the domain does not say.  ``shortest``: name of the measure that is the
+    ``survival``: whether reaching the time limit without a failure is a success, None: it is if
+    some episode of the run has failed.  ``shortest``: name of the measure that is the
     least time in which an episode can succeed, s, "" where the sim knows none.
     """
 
@@ -111,13 +111,8 @@ class Spec:
     tracked: tuple[str, ...] = ()
     measures: tuple[Measure, ...] = ()
     words: Words = Words()
-    timeout_succeeds: bool | None = None
+    survival: bool | None = None
     shortest: str = ""
-
-
-LOST = "lost"
-"""Name of the measure that is 1 for an episode that ended for a reason outside the world, such as a
-process that died.  Reports count such episodes."""
 
 
 def spec_index(spec: Spec, names: Iterable[str]) -> list[int]:

@@ -64,7 +64,7 @@ class LinearSystem:
             clip_action=False,
             headline="s0",
             measures=(Measure("final_size", "size of the last state", "", "lower"),),
-            timeout_succeeds=True,
+            survival=True,
         )
 
     @property

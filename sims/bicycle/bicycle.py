@@ -331,7 +331,7 @@ class Bicycle:
                 Measure("shortest_time_s", "shortest possible time", "s", successes=True),
             ),
             words=Words("fall", "falls", "ride", "rides"),
-            timeout_succeeds=True,
+            survival=True,
             shortest="shortest_time_s",
         )
 

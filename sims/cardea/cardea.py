@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sims.base import LOST, Measure, Outcome, Quantity, Spec, Words
+from sims.base import Measure, Outcome, Quantity, Spec, Words
 from sims.cardea.arm import HIGH, LOW, slant, wrist
 from sims.cardea.physics import JOINTS, URDF, Robot, Step, pybullet, robot, step_rows
 from sims.cardea.poses import STOPS, check_start, draw_goal, draw_start, goal_angles
@@ -193,7 +193,7 @@ class Cardea:
                 Measure("level_error_deg", "slant of the hand", "degrees", "lower"),
             ),
             words=Words("crash", "crashes", "reach", "reaches"),
-            timeout_succeeds=False,
+            survival=False,
         )
 
     def initial(self, uniforms: Tensor) -> Tensor:
@@ -283,7 +283,7 @@ class Cardea:
             "level_error_deg": slant(q).rad2deg(),
         }
         if self.workers:
-            measures[LOST] = (final[..., _TROUBLE] == int(Trouble.LOST)).to(final.dtype)
+            measures["lost"] = (final[..., _TROUBLE] == int(Trouble.LOST)).to(final.dtype)
         return measures
 
     def inverse_dynamics(self, state: Tensor, acceleration: Tensor) -> Tensor:
