@@ -117,4 +117,5 @@ class _Finder(importlib.abc.MetaPathFinder):
 def install() -> None:
     """Let old names be imported; once is enough."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        sys.meta_path.append(_Finder())
+        # First: a folder that an update has left empty would be taken for a package.
+        sys.meta_path.insert(0, _Finder())
