@@ -23,7 +23,7 @@ from hydra import compose, initialize_config_module
 
 from benchmarks.search_peer import ride, search_serially
 from edtorch.app import schemas
-from edtorch.app.rival import SearchSetup, build_search
+from edtorch.app.random_search import SearchSetup, build_search
 from edtorch.rivals.episodes import Tile
 from edtorch.rivals.random_search import RandomSearch, episode_key, policy_weights, search
 from sims.base import Outcome
@@ -48,10 +48,10 @@ def cpu_s(work: Callable[[], object]) -> float:
     return time.process_time() - began
 
 
-def full_tile(setup: SearchSetup, slots: int, wish: str) -> Tile:
+def full_tile(setup: SearchSetup, slots: int, mode: str) -> Tile:
     """Every slot rides, for long."""
     tile = Tile(
-        setup.world, setup.policy, slots=slots, look=LOOK, wish="on" if wish == "on" else "off"
+        setup.world, setup.policy, slots=slots, look=LOOK, mode="on" if mode == "on" else "off"
     )
     ids = torch.full((slots,), RIDES_ON)
     weights = policy_weights(setup.settings, setup.policy, setup.seed, ids)
@@ -69,11 +69,11 @@ def inner_loop(setup: SearchSetup, sizes: list[int], rounds: int) -> dict[str, d
         "numba, scalar": lambda: ride(weights[0], key[0, 0], key[0, 1], 20_000)
     }
     steps = {"numba, scalar": 20_000}
-    for wish, word in (("on", "compiled"), ("off", "eager")):
+    for mode, word in (("on", "compiled"), ("off", "eager")):
         for slots in sizes:
             name = f"tile, {word}, {slots} slots"
-            tile = full_tile(setup, slots, wish)
-            calls = 8 if wish == "on" else 1
+            tile = full_tile(setup, slots, mode)
+            calls = 8 if mode == "on" else 1
             works[name] = lambda tile=tile, calls=calls: [tile.advance() for _ in range(calls)]
             steps[name] = slots * LOOK * calls
     first: dict[str, float] = {}
@@ -101,7 +101,7 @@ def whole_search(setup: SearchSetup, settings: RandomSearch) -> dict[str, dict[s
         setup.policy,
         seed=setup.seed,
         processes=1,
-        wish="on",
+        mode="on",
         report=lambda progress: None,
     )
     began = time.process_time()

@@ -35,7 +35,7 @@ from edtorch.model.noise import ResidualNoise
 from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import FirstOrder, MeanOnly
-from edtorch.value.choose import MOST_RECURSIVE_STEPS, Choice, Wish, choose_path
+from edtorch.value.choose import MOST_RECURSIVE_STEPS, Choice, Method, choose_path
 from edtorch.value.unroll import Horizon, ValuePath
 
 ACTIONS = {5: 2, 14: 5, 32: 10}
@@ -99,9 +99,9 @@ def edtorch_rows(problem: Problem, memory: float) -> dict[str, Work]:
         for array in (problem.weight, problem.theta, problem.start, problem.noise)
     )
 
-    def choice(wish: Wish) -> Choice:
+    def choice(method: Method) -> Choice:
         return choose_path(
-            wish,
+            method,
             model,
             policy,
             reward,
@@ -110,8 +110,8 @@ def edtorch_rows(problem: Problem, memory: float) -> dict[str, Work]:
             noise=ResidualNoise(1.0) if size.covariance else None,
         )
 
-    def row(wish: Wish) -> Work:
-        path = choice(wish).path
+    def row(method: Method) -> Work:
+        path = choice(method).path
 
         def work() -> object:
             with torch.no_grad() if path.needs_autograd else torch.inference_mode():

@@ -17,6 +17,7 @@ RENAMED = {
     "edtorch.annealing": "edtorch.learner.annealing",
     "edtorch.app.command": "edtorch.app.limit",
     "edtorch.app.keeping": "edtorch.app.best",
+    "edtorch.app.rival": "edtorch.app.random_search",
     "edtorch.checkpoint": "edtorch.run.checkpoint",
     "edtorch.checks": "edtorch.value.checks",
     "edtorch.closed_form": "edtorch.value.linear",
@@ -71,7 +72,16 @@ RENAMED = {
     "sims.slalom": "sims.bicycle.slalom",
     "sims.wind": "sims.bicycle.wind",
 }
-"""New names by old ones; what lies within a renamed package keeps its own name there."""
+"""New module names by old ones; what lies within a renamed package keeps its own name there."""
+
+CLASSES = {"edtorch.inverse.features.Pairwise": "edtorch.inverse.features.PairwiseProducts"}
+"""New names of configurable classes by their old ones, both in present modules."""
+
+
+def current_target(name: str) -> str:
+    """The present full name of a class, for a ``_target_``; ``name`` itself if not renamed."""
+    present = current_name(name) or name
+    return CLASSES.get(present, present)
 
 
 def current_name(name: str) -> str | None:

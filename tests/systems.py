@@ -20,7 +20,7 @@ from edtorch.run.episodes import Budget
 from edtorch.run.scaled_sim import World
 from edtorch.run.training import Training
 from edtorch.transform import MeanOnly
-from edtorch.value.choose import Wish, choose_path
+from edtorch.value.choose import Method, choose_path
 from edtorch.value.linear import LinearMeanOnly
 from edtorch.value.unroll import Generic, Horizon, ValueGradient
 from sims.base import Sim
@@ -106,7 +106,7 @@ def same_value_and_gradient(
 
 
 def bicycle_learner(
-    world: World, *, fit: Fit | None = None, wish: Wish = "auto", horizon: int = 30
+    world: World, *, fit: Fit | None = None, method: Method = "auto", horizon: int = 30
 ) -> Learner:
     """The learner of section 4 with the faster rates, for the bicycle or any sim of its size."""
     n, m = len(world.spec.state), len(world.spec.action)
@@ -122,7 +122,7 @@ def bicycle_learner(
         policy=policy,
         fit=fit or SquaredError(10.0),
         noise=None,
-        value=choose_path(wish, model, policy, reward, MeanOnly(), steps).path,
+        value=choose_path(method, model, policy, reward, MeanOnly(), steps).path,
         step_rule=SaturatedStep(0.3, 1.0),
         exploration=0.05,
     )

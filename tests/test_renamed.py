@@ -3,9 +3,10 @@
 import importlib
 
 import pytest
+from hydra.utils import get_class
 
 import edtorch
-from edtorch.renamed import RENAMED, current_name
+from edtorch.renamed import RENAMED, current_name, current_target
 
 assert edtorch.__version__  # importing the package installs the aliases
 
@@ -30,3 +31,10 @@ def test_a_name_that_never_was_is_not_found() -> None:
         importlib.import_module("edtorch.fitting")
     with pytest.raises(ModuleNotFoundError):
         importlib.import_module("edtorch.closed_form.nothing")
+
+
+def test_a_class_under_its_old_name() -> None:
+    assert current_target("edtorch.fit.SquaredError") == "edtorch.model.fit.SquaredError"
+    products = current_target("edtorch.inverse.features.Pairwise")
+    assert get_class(products).__name__ == "PairwiseProducts"
+    assert current_target("numpy.array") == "numpy.array"

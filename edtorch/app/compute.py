@@ -10,7 +10,7 @@ from typing import Any, get_args
 import torch
 
 from edtorch.app.errors import ConfigError
-from edtorch.compiled.compilation import CannotCompile, Wish, check_compiler
+from edtorch.compiled.compilation import CannotCompile, CompileMode, check_compiler
 from edtorch.inverse.learner import InverseLearner
 from edtorch.learner.filter import JointFilter
 from edtorch.learner.learner import AnyLearner, Learner
@@ -59,7 +59,7 @@ def check_choices(config: Any) -> None:
     """Refuse precisions, ways to compile and devices that are none."""
     for name, known in (
         ("precision", PRECISIONS),
-        ("compile", get_args(Wish)),
+        ("compile", get_args(CompileMode)),
         ("device", ("cpu", "cuda")),
     ):
         if config[name] not in known:

@@ -9,6 +9,7 @@ from hydra.utils import get_class, get_method, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from edtorch.app.errors import ConfigError, under, unknown_key
+from edtorch.renamed import current_target
 
 _GATHERING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
@@ -28,7 +29,7 @@ def target_class(group: str, config: Any) -> Any:
         raise ConfigError(f"{group}={config}: expected a mapping with a _target_")
     name = config._target_
     try:
-        return get_class(name)
+        return get_class(current_target(name))
     except Exception as error:
         why = " ".join(str(error).split()) or type(error).__name__
         raise ConfigError(
@@ -81,7 +82,7 @@ def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
         if not optional and name not in arguments:
             raise ConfigError(f"{group}.{name}: no value given; set it with {group}.{name}=...")
     # Called here and not by Hydra, so that its errors reach us as they are.
-    constructor = instantiate({"_target_": config._target_, "_partial_": True})
+    constructor = instantiate({"_target_": current_target(config._target_), "_partial_": True})
     with under(group):
         try:
             return constructor(**arguments)

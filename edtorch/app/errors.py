@@ -14,7 +14,7 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from edtorch.app.folders import Watch
+from edtorch.app.folders import FootprintCallback
 from edtorch.app.schemas import SCALARS
 from edtorch.app.signals import Interrupted
 from edtorch.run.checkpoint import FileProblem
@@ -160,7 +160,7 @@ def _odd_choice(error: ValueError) -> str:
 
 
 def _message(error: BaseException) -> str:
-    footprint = Watch.footprint
+    footprint = FootprintCallback.footprint
     if isinstance(error, HydraException):
         return one_line(error)
     if isinstance(error, OSError) and footprint is not None:
@@ -173,7 +173,7 @@ def _message(error: BaseException) -> str:
 
 def guarded(command: str, run: Callable[[], None]) -> int:
     """Run a command; report what goes wrong as one line on stderr and as the exit status."""
-    Watch.footprint = None
+    FootprintCallback.footprint = None
     try:
         with _errors_unchanged():
             run()
@@ -183,13 +183,13 @@ def guarded(command: str, run: Callable[[], None]) -> int:
         return 130
     except (Refused, ValueError, *EXPECTED) as error:
         # A ValueError from before any folder is Hydra's, from composing; later ones are defects.
-        if _debugging() or (type(error) is ValueError and Watch.footprint is not None):
+        if _debugging() or (type(error) is ValueError and FootprintCallback.footprint is not None):
             raise
         print(f"{command}: {_message(error)}", file=sys.stderr)
         return 1
     finally:
-        if Watch.footprint is not None:
-            Watch.footprint.remove()
+        if FootprintCallback.footprint is not None:
+            FootprintCallback.footprint.remove()
     return 0
 
 

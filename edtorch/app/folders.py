@@ -50,7 +50,7 @@ def remove_empty(folder: Path, standing: Path) -> None:
         folder = folder.parent
 
 
-class Watch(Callback):
+class FootprintCallback(Callback):
     """Remembers the footprint of the command that is running in this process."""
 
     footprint: Footprint | None = None
@@ -71,4 +71,4 @@ class Watch(Callback):
         standing = wanted
         while not standing.exists() and standing != standing.parent:
             standing = standing.parent
-        Watch.footprint = Footprint(key, wanted, standing)
+        FootprintCallback.footprint = Footprint(key, wanted, standing)

@@ -21,7 +21,7 @@ from edtorch.inverse.forward import tracking
 from edtorch.learner.learner import Learner
 from edtorch.model.models import DerivativeModel
 from edtorch.run.scaled_sim import World
-from edtorch.value.choose import Wish, choose_path
+from edtorch.value.choose import Method, choose_path
 from edtorch.value.error_estimate import ValueErrorIndicator
 from edtorch.value.linear.regulator import Regulator
 from edtorch.value.unroll import FromOrigin, Horizon
@@ -70,9 +70,9 @@ def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward
     noise = None
     if transform.propagates_covariance or config.log.value_error or needs_noise(config.command):
         noise = build_noise(config.noise, fit, model, step / world.dt if euler else 1.0)
-    if config.unroll.path not in get_args(Wish):
+    if config.unroll.path not in get_args(Method):
         raise ConfigError(
-            f"unroll.path={config.unroll.path}: expected one of {', '.join(get_args(Wish))}"
+            f"unroll.path={config.unroll.path}: expected one of {', '.join(get_args(Method))}"
         )
     at_least("unroll.start_deviation", config.unroll.start_deviation, 0)
     if config.unroll.start_deviation > 0 and not transform.propagates_covariance:

@@ -22,7 +22,7 @@ from edtorch.inverse.policy import InversePolicy
 from edtorch.inverse.unroll import InverseUnroll, InverseValue
 from edtorch.model.noise import Noise
 from edtorch.transform import FirstOrder, MeanOnly
-from edtorch.value.choose import Wish
+from edtorch.value.choose import Method
 from edtorch.value.unroll import Horizon
 from sims.base import Jointed, Sim
 
@@ -79,9 +79,9 @@ def build_controller(config: Any, sim: Sim) -> InverseController:
 
 def _value(config: DictConfig, policy: InversePolicy, horizon: Horizon) -> InverseValue:
     """The way to value and gradient: written out where it is, else torch's differentiation."""
-    wish, deviation = config.unroll.path, config.unroll.start_deviation
-    if wish not in get_args(Wish):
-        raise ConfigError(f"unroll.path={wish}: expected one of {', '.join(get_args(Wish))}")
+    method, deviation = config.unroll.path, config.unroll.start_deviation
+    if method not in get_args(Method):
+        raise ConfigError(f"unroll.path={method}: expected one of {', '.join(get_args(Method))}")
     for key, only in (("start", "state"), ("direction", "gradient")):
         if config.unroll[key] != only:
             raise ConfigError(
@@ -103,13 +103,13 @@ def _value(config: DictConfig, policy: InversePolicy, horizon: Horizon) -> Inver
             " covariance out; transform=first takes it in"
         )
     written_out = isinstance(transform, MeanOnly | FirstOrder)
-    if wish == "closed_form" and not written_out:
+    if method == "closed_form" and not written_out:
         raise ConfigError(
             "unroll.path=closed_form: expected transform=mean_only or first with an inverse"
             f" policy, not {type(transform).__name__}"
         )
     with under("reward"):
-        if written_out and wish != "generic":
+        if written_out and method != "generic":
             covariance = transform.propagates_covariance
             return InverseUnroll(policy, horizon, config.reward.goal, covariance, deviation)
         return GenericInverse(policy, horizon, transform, config.reward.goal, deviation)

@@ -19,7 +19,7 @@ from edtorch.app.checks import at_least
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.evaluations import Evaluation
 from edtorch.app.inverse import has_inverse
-from edtorch.app.rival import is_rival
+from edtorch.app.random_search import is_rival
 from edtorch.app.rundir import (
     CHECKPOINT,
     POLICY,

@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.policy import build_actor, build_frozen_observer, policy_card
-from edtorch.app.rival import is_rival, is_search
+from edtorch.app.random_search import is_rival, is_search
 from edtorch.app.rivals import build_rival, rival_card, rival_dtype
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer

@@ -1,7 +1,7 @@
-"""A rival's job behind ``edtorch-train``: search, try the policies on the way, leave a run folder.
+"""A rival's job behind ``edtorch-train``: search, evaluate policies on the way, leave a run folder.
 
-``edtorch.app.rival`` is random search, which counts policies; everything here has one search per
-seed, and a summary like a learner's.
+One search per seed and a summary like a learner's; random search, which counts policies, has a job
+of its own (``edtorch.app.random_search``).
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ class _Fresh:
             return evaluate(actor, picked, calm, seeds, count)
         if self._runs is None:
             slots = min(SLOTS, len(self._setup.seeds) * self._setup.episodes)
-            self._runs = Runs(calm, actor, slots=slots, wish=self._setup.problem.compile)
+            self._runs = Runs(calm, actor, slots=slots, mode=self._setup.problem.compile)
         return fresh_episodes(self._runs, calm, picked["weight"], seeds, count, self._pause)
 
 

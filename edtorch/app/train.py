@@ -27,7 +27,7 @@ from edtorch.app.evaluations import Evaluations, News
 from edtorch.app.folders import remove_empty
 from edtorch.app.offline import build_offline, is_offline, run_offline
 from edtorch.app.pictures import draw, draw_reaching
-from edtorch.app.rival import build_search, is_rival, is_search, run_search
+from edtorch.app.random_search import build_search, is_rival, is_search, run_search
 from edtorch.app.rivals import build_rival, run_rival
 from edtorch.app.rundir import (
     CHECKPOINT,

@@ -18,7 +18,7 @@ from edtorch.bounds.constants import (
 from edtorch.bounds.moments import StartLaw
 from edtorch.bounds.path import Path
 from edtorch.bounds.result import ErrorBounds, Standing
-from edtorch.bounds.step import Errors, Remainders, StepNorms, StepRule, known, spectral
+from edtorch.bounds.step import Remainders, StepErrors, StepNorms, StepRule, known, spectral
 from edtorch.bounds.theorems import reward_remainder
 from edtorch.value.unroll import Horizon
 
@@ -43,7 +43,7 @@ class Propagators:
     Sums over them are often smaller than the step-wise product of |J|_2.
     """
 
-    def __init__(self, n: int, start: Errors) -> None:
+    def __init__(self, n: int, start: StepErrors) -> None:
         self.products = torch.eye(n, dtype=torch.float64).unsqueeze(0)
         self.sources = [Remainders(start.mean, start.cov)]
 
@@ -64,7 +64,7 @@ class Propagators:
 def adjoint_value_bound(
     path: Path,
     weights: Sequence[float],
-    start: Errors,
+    start: StepErrors,
     added: Sequence[Remainders],
     reward_terms: Sequence[float],
 ) -> float:
@@ -146,7 +146,9 @@ def bound_errors(
 
     norms = StepNorms.of(path)
     rule = StepRule(n, norms, noise_law, model_error)
-    errors = [Errors(start.mean_error, start.cov_error, start.second_moment, start.fourth_moment)]
+    errors = [
+        StepErrors(start.mean_error, start.cov_error, start.second_moment, start.fourth_moment)
+    ]
     propagators = Propagators(n, errors[0])
     added: list[Remainders] = []
     for t in range(T):
@@ -159,7 +161,7 @@ def bound_errors(
         direct = norms.cov_trace[t + 1] + math.sqrt(n) * cov + mean * mean
         second = min(direct, rule.second_moment(t, now, c))
         added.append(step)
-        errors.append(Errors(mean, cov, second, rule.fourth_moment(t, now, c)))
+        errors.append(StepErrors(mean, cov, second, rule.fourth_moment(t, now, c)))
 
     bends = [
         known(

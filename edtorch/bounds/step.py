@@ -26,7 +26,7 @@ from edtorch.bounds.path import Path
 from edtorch.bounds.theorems import covariance_remainder, mean_remainder, noise_change
 
 
-class Errors(NamedTuple):
+class StepErrors(NamedTuple):
     """Bounds at one step: |epsilon|, |E|_F, D_2, D_4."""
 
     mean: float
@@ -113,7 +113,7 @@ class StepRule:
     noise_law: NoiseLaw
     model_error: ModelError
 
-    def remainders(self, t: int, errors: Errors, constants: Constants) -> Remainders:
+    def remainders(self, t: int, errors: StepErrors, constants: Constants) -> Remainders:
         """b_s and b_Sigma of the move from step t."""
         eta = self.model_error.mean
         norms, D_2, L = self.norms, errors.second, constants.lipschitz
@@ -139,7 +139,7 @@ class StepRule:
         cov += self.model_error.cov + 2 * eta * L * errors.first + eta * eta
         return Remainders(known(mean), known(cov))
 
-    def second_moment(self, t: int, errors: Errors, constants: Constants) -> float:
+    def second_moment(self, t: int, errors: StepErrors, constants: Constants) -> float:
         """D_2 of step t + 1 from that of step t: E|mu(X) - s~+|^2 + E tr nu(X)."""
         drift = constants.lipschitz * errors.first + self.model_error.mean
         noise = self.noise_trace(t) + constants.trace_slope(self.n) * errors.first
@@ -149,7 +149,7 @@ class StepRule:
         """tr nu at s~_t, of the true noise."""
         return self.norms.noise_trace[t] + math.sqrt(self.n) * self.model_error.cov
 
-    def fourth_moment(self, t: int, errors: Errors, constants: Constants) -> float:
+    def fourth_moment(self, t: int, errors: StepErrors, constants: Constants) -> float:
         """D_4 of step t + 1: E|a + w|^4 expanded, a = mu(X) - s~+ and w the noise."""
         L, eta, eta_nu = constants.lipschitz, self.model_error.mean, self.model_error.cov
         ell, slope = constants.trace_slope(self.n), constants.noise_slope

@@ -12,7 +12,7 @@ import torch
 
 logger = logging.getLogger("edtorch")
 
-Wish = Literal["auto", "on", "off"]
+CompileMode = Literal["auto", "on", "off"]
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
@@ -47,17 +47,17 @@ def check_compiler() -> None:
         )
 
 
-def compiled(function: _Function, *, wish: Wish) -> _Function:
+def compiled(function: _Function, *, mode: CompileMode) -> _Function:
     """``function`` compiled as one graph; with ``auto`` as it is where that cannot be had.
 
     Raises CannotCompile with ``on``.
     """
-    if wish == "off":
+    if mode == "off":
         return function
     try:
         check_compiler()
     except CannotCompile as error:
-        if wish == "on":
+        if mode == "on":
             raise
         logger.warning("not compiled, some ten times slower: %s", error)
         return function

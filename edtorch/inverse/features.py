@@ -58,7 +58,7 @@ class Linear:
         return torch.cat(parts, -1)
 
 
-class Pairwise:
+class PairwiseProducts:
     """All products of two of ``Linear``'s features."""
 
     def __init__(self, layout: Layout) -> None:
@@ -154,7 +154,7 @@ def _outer(a: Tensor, b: Tensor) -> Tensor:
 
 FEATURES: Mapping[str, Callable[[Layout], InverseFeatures]] = {
     "linear": Linear,
-    "pairwise": Pairwise,
+    "pairwise": PairwiseProducts,
     "structured": Structured,
 }
 """By name."""

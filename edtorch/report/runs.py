@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import yaml
 
-from edtorch.renamed import current_name
+from edtorch.renamed import current_target
 
 CONFIG, SUMMARY, STATUS, ABOUT = "config.yaml", "summary.json", "status.json", "run.json"
 ABOUT_KINDS: dict[str, type] = {"versions": dict, "command": str, "git": str}
@@ -74,7 +74,7 @@ def flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(value, Mapping):
             leaves |= flat(value, f"{prefix}{key}.")
         elif key == "_target_" and isinstance(value, str):
-            leaves[f"{prefix}{key}"] = current_name(value) or value
+            leaves[f"{prefix}{key}"] = current_target(value)
         else:
             leaves[f"{prefix}{key}"] = value
     return leaves

@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
-from edtorch.compiled.compilation import Wish
+from edtorch.compiled.compilation import CompileMode
 from edtorch.learner.learner import Actor
 from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
@@ -36,7 +36,7 @@ class Problem:
     policy: LinearPolicy
     reward: QuadraticReward
     seeds: Sequence[int]
-    compile: Wish
+    compile: CompileMode
 
 
 @runtime_checkable

@@ -49,7 +49,7 @@ class Transitions:
         return len(self.state)
 
 
-def joined(parts: Sequence[Transitions]) -> Transitions:
+def concatenated(parts: Sequence[Transitions]) -> Transitions:
     """One record of several, at least one, in this order."""
     names = Transitions.__dataclass_fields__
     return Transitions(**{n: torch.cat([getattr(part, n) for part in parts]) for n in names})

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch._higher_order_ops.scan import scan
 
-from edtorch.compiled.compilation import Wish, compiled
+from edtorch.compiled.compilation import CompileMode, compiled
 from edtorch.policy.policies import LinearPolicy, explore
 from edtorch.run.hashing import normals, uniform
 from edtorch.run.scaled_sim import World
@@ -32,8 +32,8 @@ to (state, ticks, outcome, sums...) some ticks later.  An episode that is over s
 
 
 @dataclass(frozen=True)
-class Moment:
-    """One tick of S episodes, for a ``Tally``.
+class EpisodeTick:
+    """One tick of S episodes, for an ``Accumulator``.
 
     ticks ``[S]`` before it; observation ``[S, n]``, and the action ``[S, m]`` that was applied
     there, scaled; normal ``[S, m]``: the standard normal numbers it explored with, zero without.
@@ -45,7 +45,7 @@ class Moment:
     normal: Tensor
 
 
-class Tally(Protocol):
+class Accumulator(Protocol):
     """What is added up over an episode beside its outcome; and how it explores."""
 
     @property
@@ -57,18 +57,21 @@ class Tally(Protocol):
         """The sums of episodes that begin, zeros, each ``[slots, ...]``."""
         ...
 
-    def add(self, sums: tuple[Tensor, ...], moment: Moment) -> tuple[Tensor, ...]:
+    def add(self, sums: tuple[Tensor, ...], tick: EpisodeTick) -> tuple[Tensor, ...]:
         """The sums one tick later: a function of tensors alone, which can be compiled."""
         ...
 
 
 def one_tick(
-    world: World, policy: LinearPolicy, tally: Tally | None = None, limit: int | None = None
+    world: World,
+    policy: LinearPolicy,
+    accumulator: Accumulator | None = None,
+    limit: int | None = None,
 ) -> Advance:
     """All slots, one tick on.  limit: ticks after which an episode is cut off, as if out of time;
     None: only the world's own time limit."""
     actions = policy.weight.shape[0]
-    explores = tally is not None and tally.deviation > 0
+    explores = accumulator is not None and accumulator.deviation > 0
     # Normal numbers come in pairs.
     drawn = world.uniforms + (2 * ((actions + 1) // 2) if explores else 0)
 
@@ -86,9 +89,9 @@ def one_tick(
         observation = world.observe(state)
         action = policy.action({"weight": weight}, observation)
         normal = torch.zeros_like(action)
-        if tally is not None and explores:
+        if accumulator is not None and explores:
             normal = normals(numbers[..., world.uniforms :])[..., :actions].to(action.dtype)
-            action = explore(action, normal, tally.deviation)
+            action = explore(action, normal, accumulator.deviation)
         action = world.clip(action)
         moved = world.step(state, action, numbers[..., : world.uniforms])
         now = world.outcome(moved, later)
@@ -96,8 +99,8 @@ def one_tick(
             cut = (now == int(Outcome.RUNNING)) & (later >= limit)
             now = torch.where(cut, int(Outcome.TIMED_OUT), now)
         more: tuple[Tensor, ...] = ()
-        if tally is not None:
-            added = tally.add(sums, Moment(ticks, observation, action, normal))
+        if accumulator is not None:
+            added = accumulator.add(sums, EpisodeTick(ticks, observation, action, normal))
             more = tuple(select(running, a, b) for a, b in zip(added, sums, strict=True))
         return (
             select(running, moved, state),
@@ -144,7 +147,7 @@ def scanned(tick: Advance, count: int) -> Advance:
 @dataclass(frozen=True)
 class Finished:
     """Episodes that are over: slot, outcome, ticks ``[F]`` (int64), final state ``[F, k]``; sums:
-    of the tally, each ``[F, ...]``."""
+    of the accumulator, each ``[F, ...]``."""
 
     slot: Tensor
     outcome: Tensor
@@ -156,8 +159,8 @@ class Finished:
 class Tile:
     """``slots`` episodes at a time, looked at every ``look`` ticks; in inference mode.
 
-    eager: ticks before it goes on compiled, where ``wish`` lets it: compiling takes half a minute,
-    which few ticks are not worth.  tally, limit: see ``one_tick``.
+    eager: ticks before it goes on compiled, where ``mode`` lets it: compiling takes half a minute,
+    which few ticks are not worth.  accumulator, limit: see ``one_tick``.
     """
 
     def __init__(
@@ -167,16 +170,16 @@ class Tile:
         *,
         slots: int,
         look: int,
-        wish: Wish,
-        tally: Tally | None = None,
+        mode: CompileMode,
+        accumulator: Accumulator | None = None,
         limit: int | None = None,
         eager: int = 0,
     ) -> None:
         self._world = world
         self._look = look
-        self._wish: Wish = wish
+        self._mode: CompileMode = mode
         self._eager = eager
-        self._tick = one_tick(world, policy, tally, limit)
+        self._tick = one_tick(world, policy, accumulator, limit)
         self._advance: Advance | None = None
         actions, features = policy.weight.shape
         # The batch last in memory, everywhere: a component is one run of memory.
@@ -186,7 +189,7 @@ class Tile:
         self._state = _batch_last(slots, start.shape[-1]).copy_(start)
         self._ticks = self._zeros(slots)
         self._outcome = torch.full_like(self._ticks, IDLE)
-        zeros = () if tally is None else tally.begin(slots)
+        zeros = () if accumulator is None else accumulator.begin(slots)
         self._sums = tuple(_batch_last(slots, *z.shape[1:], dtype=z.dtype) for z in zeros)
         self._busy = torch.zeros(slots, dtype=torch.bool)
 
@@ -230,8 +233,8 @@ class Tile:
         if self._advance is None:
             self._advance = (
                 looped(self._tick, self._look)
-                if self._wish == "off"
-                else compiled(scanned(self._tick, self._look), wish=self._wish)
+                if self._mode == "off"
+                else compiled(scanned(self._tick, self._look), mode=self._mode)
             )
         return self._advance
 

@@ -24,7 +24,7 @@ from edtorch.rivals.batch import (
     check_rewards,
     choices,
     collect,
-    joined,
+    concatenated,
     rewards,
 )
 from edtorch.rivals.ledger import Account
@@ -112,7 +112,7 @@ def monomials(basis: Sequence[Sequence[str]], spec: Spec, period: Tensor) -> Mon
 
 
 @dataclass(frozen=True)
-class Greedy:
+class GreedyLinear:
     """The policy that takes the best of ``actions`` ``[A, m]``, the first among equals."""
 
     basis: FeatureMap
@@ -193,7 +193,7 @@ class LspiSearch:
         self._seeds = list(problem.seeds)
         actions = action_set(settings, world)
         basis = monomials(settings.basis, world.spec, world.period)
-        self.actor = Greedy(basis, actions)
+        self.actor = GreedyLinear(basis, actions)
         self.accounts = [Account() for _ in self._seeds]
         self.solutions: list[Solution | None] = [None for _ in self._seeds]
         self._stage = [0 for _ in self._seeds]
@@ -232,7 +232,7 @@ class LspiSearch:
         self._data[row].append(fresh)
 
     def _solve(self, row: int, pause: Callable[[], None]) -> None:
-        data = joined(self._data[row])
+        data = concatenated(self._data[row])
         actions = self.actor.actions
         solution = policy_iteration(
             self.actor.basis,

@@ -81,9 +81,9 @@ class PegasusSearch(LinearSearch):
         self._runs = Runs(
             problem.world,
             problem.policy,
-            wish=problem.compile,
+            mode=problem.compile,
             slots=min(SLOTS, settings.scenarios * len(problem.seeds) * settings.lengths),
-            tally=Return(SparseReward(problem.reward), settings.discount, problem.world.dt),
+            accumulator=Return(SparseReward(problem.reward), settings.discount, problem.world.dt),
             limit=self._limit,
         )
         scenario = torch.arange(settings.scenarios)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from edtorch.compiled.compilation import Wish
+from edtorch.compiled.compilation import CompileMode
 from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import Checkpoint
 from edtorch.rivals.episodes import Finished, Tile
@@ -236,14 +236,14 @@ class Stopped(Exception):
 
 
 @dataclass(frozen=True)
-class Share:
+class Shard:
     """The part of a search that one process does: policies number first, first + every, ..."""
 
     settings: RandomSearch
     world: World
     policy: LinearPolicy
     seed: int
-    wish: Wish
+    mode: CompileMode
     first: int
     every: int
 
@@ -259,7 +259,7 @@ class Share:
         weights = policy_weights(settings, self.policy, self.seed, ids)
         schedule = _Schedule(len(ids), settings.runs)
         tile = Tile(
-            self.world, self.policy, slots=settings.slots, look=settings.look, wish=self.wish
+            self.world, self.policy, slots=settings.slots, look=settings.look, mode=self.mode
         )
         nobody = episode_key(self.seed, ids[:0], ids[:0])
         finals = _Finals(
@@ -357,7 +357,7 @@ def search(
     *,
     seed: int,
     processes: int,
-    wish: Wish,
+    mode: CompileMode,
     report: Callable[[Progress], None],
 ) -> SearchResult:
     """Run every policy; the same result for any number of processes.
@@ -365,7 +365,7 @@ def search(
     ``report`` is called a few times a second; what it raises ends the search.
     """
     shares = [
-        Share(settings, world, policy, seed, wish, first, processes)
+        Shard(settings, world, policy, seed, mode, first, processes)
         for first in range(min(processes, settings.policies))
     ]
     if len(shares) == 1:

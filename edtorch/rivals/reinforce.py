@@ -29,7 +29,7 @@ from torch import Tensor
 
 from edtorch.model.features import FeatureMap
 from edtorch.rivals.base import LinearSearch, Problem
-from edtorch.rivals.episodes import Moment
+from edtorch.rivals.episodes import EpisodeTick
 from edtorch.rivals.ledger import Account, pay
 from edtorch.rivals.returns import SparseReward
 from edtorch.rivals.runs import SLOTS, Ended, Runs
@@ -81,7 +81,7 @@ def squares(observation: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class LikelihoodRatio:
-    """``edtorch.rivals.episodes.Tally``: the sums that gradient and baseline are made of.
+    """``edtorch.rivals.episodes.Accumulator``: the sums that gradient and baseline are made of.
 
     features: phi, of the policy; states, actions: n and m; discount: gamma of a tick; dt: s.
     """
@@ -101,13 +101,13 @@ class LikelihoodRatio:
         shapes = ((p,), (p,), (q,), (q,), (p, q), (q, q))
         return tuple(torch.zeros(slots, *shape, dtype=torch.float64) for shape in shapes)
 
-    def add(self, sums: tuple[Tensor, ...], moment: Moment) -> tuple[Tensor, ...]:
+    def add(self, sums: tuple[Tensor, ...], tick: EpisodeTick) -> tuple[Tensor, ...]:
         """One tick more."""
         z, g, y, c, crossed, squared = sums
-        phi = self.features(moment.observation)
-        score = (moment.normal.unsqueeze(-1) * phi.unsqueeze(-2) / self.deviation).flatten(-2)
-        psi = squares(moment.observation)
-        earned = (self.dt * self.reward(moment.observation, moment.action)).unsqueeze(-1)
+        phi = self.features(tick.observation)
+        score = (tick.normal.unsqueeze(-1) * phi.unsqueeze(-2) / self.deviation).flatten(-2)
+        psi = squares(tick.observation)
+        earned = (self.dt * self.reward(tick.observation, tick.action)).unsqueeze(-1)
         z = self.discount * z + score
         y = self.discount * y + psi
         return (
@@ -128,7 +128,7 @@ class ReinforceSearch(LinearSearch):
         super().__init__(problem)
         self._settings, self._world = settings, world
         self._limit = min(round(settings.horizon / world.dt), world.limit_ticks)
-        self._tally = LikelihoodRatio(
+        self._accumulator = LikelihoodRatio(
             SparseReward(problem.reward),
             policy.features,
             len(world.spec.state),
@@ -140,10 +140,10 @@ class ReinforceSearch(LinearSearch):
         self._runs = Runs(
             world,
             policy,
-            wish=problem.compile,
+            mode=problem.compile,
             slots=min(SLOTS, settings.batch * len(problem.seeds)),
             look=64,
-            tally=self._tally,
+            accumulator=self._accumulator,
             limit=self._limit,
         )
         self._seeds = list(problem.seeds)
@@ -199,6 +199,10 @@ class ReinforceSearch(LinearSearch):
     def _sums(self, ended: Ended) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Of each episode, what failing costs included."""
         z, g, y, c, crossed, squared = ended.sums
-        last = self._settings.fall_cost * self._tally.discount / math.log(self._settings.discount)
+        last = (
+            self._settings.fall_cost
+            * self._accumulator.discount
+            / math.log(self._settings.discount)
+        )
         fell = (ended.outcome == int(Outcome.FAILED)).to(torch.float64).unsqueeze(-1)
         return g + last * fell * z, c + last * fell * y, crossed, squared

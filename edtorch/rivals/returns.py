@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from edtorch.rewards import QuadraticReward
-from edtorch.rivals.episodes import Moment
+from edtorch.rivals.episodes import EpisodeTick
 
 
 class SparseReward:
@@ -40,7 +40,7 @@ def _terms(cost: Tensor) -> list[tuple[int, int, float]]:
 
 @dataclass(frozen=True)
 class Return:
-    """``edtorch.rivals.episodes.Tally``: sum over the ticks t of an episode of gamma^(t dt) dt r.
+    """Accumulates gamma^(t dt) dt r over the ticks t of an episode (an ``Accumulator``).
 
     discount: gamma, per second; dt: of a tick, in seconds.
     """
@@ -54,11 +54,11 @@ class Return:
         """The return so far, ``[S]``."""
         return (torch.zeros(slots, dtype=torch.float64),)
 
-    def add(self, sums: tuple[Tensor, ...], moment: Moment) -> tuple[Tensor, ...]:
+    def add(self, sums: tuple[Tensor, ...], tick: EpisodeTick) -> tuple[Tensor, ...]:
         """One reward more."""
-        earned = self.dt * self.reward(moment.observation, moment.action).to(torch.float64)
+        earned = self.dt * self.reward(tick.observation, tick.action).to(torch.float64)
         if self.discount < 1:
-            seconds = self.dt * moment.ticks.to(torch.float64)
+            seconds = self.dt * tick.ticks.to(torch.float64)
             earned = earned * (math.log(self.discount) * seconds).exp()
         return (sums[0] + earned,)
 

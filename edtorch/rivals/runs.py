@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from edtorch.compiled.compilation import Wish
+from edtorch.compiled.compilation import CompileMode
 from edtorch.policy.policies import LinearPolicy
-from edtorch.rivals.episodes import Tally, Tile
+from edtorch.rivals.episodes import Accumulator, Tile
 from edtorch.run.episodes import Episode
 from edtorch.run.hashing import Use, hash_key, uniform
 from edtorch.run.scaled_sim import World
@@ -29,7 +29,7 @@ EAGER_TICKS = 5_000
 @dataclass(frozen=True)
 class Ended:
     """E episodes from their starts to their ends: outcome, ticks ``[E]`` (int64), final state
-    ``[E, k]``, sums of the tally, each ``[E, ...]``."""
+    ``[E, k]``, sums of the accumulator, each ``[E, ...]``."""
 
     outcome: Tensor
     ticks: Tensor
@@ -51,10 +51,10 @@ class Runs:
         world: World,
         policy: LinearPolicy,
         *,
-        wish: Wish,
+        mode: CompileMode,
         slots: int = SLOTS,
         look: int = 128,
-        tally: Tally | None = None,
+        accumulator: Accumulator | None = None,
         limit: int | None = None,
         eager: int = EAGER_TICKS,
     ) -> None:
@@ -66,8 +66,8 @@ class Runs:
                 policy,
                 slots=slots,
                 look=look,
-                wish=wish,
-                tally=tally,
+                mode=mode,
+                accumulator=accumulator,
                 limit=limit,
                 eager=eager,
             )

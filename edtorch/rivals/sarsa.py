@@ -37,7 +37,7 @@ import torch
 from torch import Tensor
 from torch._higher_order_ops.while_loop import while_loop
 
-from edtorch.compiled.compilation import CannotCompile, Wish, compiled
+from edtorch.compiled.compilation import CannotCompile, CompileMode, compiled
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.base import Problem
 from edtorch.rivals.ledger import Account
@@ -195,7 +195,7 @@ def _expect_within(quantity: Quantity, values: Sequence[float]) -> None:
             )
 
 
-class Greedy:
+class GreedyTable:
     """The best action of tables of values.
 
     boxes: where in the tables an observation is; actions: ``[A, m]``, scaled.
@@ -365,14 +365,14 @@ def _moment(
     return _Moment(state, ticks, observation, row, choice)
 
 
-Advance = Callable[
+LearningLoop = Callable[
     [_Memory, tuple[Tensor, ...], Tensor, Tensor, Tensor], tuple[Tensor, tuple[Tensor, ...]]
 ]
 """(memory, moment, going ``[S]``, clock ``[]``, count ``[]``) to (clock, moment) ``count`` ticks
 later, at most ``CHUNK``; memory is changed in place."""
 
 
-def looped(tick: _Tick) -> Advance:
+def looped(tick: _Tick) -> LearningLoop:
     """One tick after the other."""
 
     def advance(
@@ -387,7 +387,7 @@ def looped(tick: _Tick) -> Advance:
     return advance
 
 
-def in_graph(tick: _Tick) -> Advance:
+def in_graph(tick: _Tick) -> LearningLoop:
     """``looped`` as a loop in the graph: one tick to compile, however many there are to run."""
 
     def advance(
@@ -425,11 +425,11 @@ class SarsaSearch:
             self._moment = self._tick.first(self._memory).tensors()
             self._clock = torch.zeros((), dtype=torch.int64)
         self._advance = _program(self._tick, world, problem.compile)
-        self._actor = Greedy(self._tick.boxes, self._tick.actions)
+        self._actor = GreedyTable(self._tick.boxes, self._tick.actions)
         self._began = [0] * len(seeds)
 
     @property
-    def actor(self) -> Greedy:
+    def actor(self) -> GreedyTable:
         """The best action."""
         return self._actor
 
@@ -475,12 +475,12 @@ class SarsaSearch:
             account.spend((before + count) * self._dt - account.seconds)
 
 
-def _program(tick: _Tick, world: World, wish: Wish) -> Advance:
+def _program(tick: _Tick, world: World, mode: CompileMode) -> LearningLoop:
     traceable = getattr(world.sim, "traceable", False)
-    if wish == "on" and not traceable:
+    if mode == "on" and not traceable:
         raise CannotCompile(
             f"{world.spec.name} is not of tensors alone: compute.compile=auto or off"
         )
-    if wish == "off" or not traceable:
+    if mode == "off" or not traceable:
         return looped(tick)
-    return compiled(in_graph(tick), wish=wish)
+    return compiled(in_graph(tick), mode=mode)

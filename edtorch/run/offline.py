@@ -27,7 +27,7 @@ from edtorch.run.transitions_file import Recorded
 from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
 from sims.base import Outcome
 
-Share = Literal["own", "all", "bootstrap"]
+EpisodeSharing = Literal["own", "all", "bootstrap"]
 Order = Literal["recorded", "shuffled"]
 BLOCK = 512
 """Transitions of each learner that are brought together at once."""
@@ -56,13 +56,13 @@ class Lessons:
     from zero it may be, physical units, in a transition that is learned from.
     """
 
-    share: Share = "own"
+    share: EpisodeSharing = "own"
     order: Order = "recorded"
     passes: int = 1
     within: tuple[tuple[int, float], ...] = ()
 
     def __post_init__(self) -> None:
-        for name, known in (("share", Share), ("order", Order)):
+        for name, known in (("share", EpisodeSharing), ("order", Order)):
             if getattr(self, name) not in get_args(known):
                 raise ValueError(
                     f"{name}={getattr(self, name)}: expected one of {', '.join(get_args(known))}"

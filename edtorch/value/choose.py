@@ -26,7 +26,7 @@ from edtorch.value.linear.loop import squared
 from edtorch.value.linear.recursion import is_diagonal, mean_by_recursion, moment_by_recursion
 from edtorch.value.unroll import Generic, Horizon, ValuePath
 
-Wish = Literal["auto", "closed_form", "generic"]
+Method = Literal["auto", "closed_form", "generic"]
 
 EXACT_FOR_LINEAR = (MeanOnly, FirstOrder, SecondOrder, Cubature)
 """Transforms that are exact, hence equal, where the closed loop is linear."""
@@ -51,7 +51,7 @@ class Choice:
 
 
 def choose_path(
-    wish: Wish,
+    method: Method,
     model: Model,
     policy: LinearPolicy,
     reward: Reward,
@@ -63,7 +63,7 @@ def choose_path(
 ) -> Choice:
     """The closed form where the closed loop allows it, the generic path elsewhere.
 
-    wish: ``auto``, or one of the two by name; ValueError if ``closed_form`` is asked for and some
+    method: ``auto``, or one of the two by name; ValueError if ``closed_form`` is asked for and some
     part does not allow it.  noise: the rule for nu~, None for zero; start_cov ``[n, n]``: that of
     the belief that an unroll starts from, None for a point.
     """
@@ -84,9 +84,9 @@ def choose_path(
         obstacles.append("the noise is neither constant nor Bayesian")
     if horizon.first_step == 0:
         obstacles.append("the value counts the reward of the present state")
-    if wish == "closed_form" and obstacles:
+    if method == "closed_form" and obstacles:
         raise ValueError(f"no closed form: {'; '.join(obstacles)}")
-    if wish == "generic" or obstacles or not isinstance(reward, QuadraticReward):
+    if method == "generic" or obstacles or not isinstance(reward, QuadraticReward):
         because = "; ".join(obstacles) or "asked for"
         return Choice(generic, f"generic path ({because})", generic)
 

@@ -511,9 +511,9 @@ class Bicycle:
 
     def yardsticks(self) -> Mapping[str, Callable[[Tensor], Tensor]]:
         """``lqr``: the regulator that knows the bicycle (``sims.bicycle.lqr``)."""
-        from sims.bicycle.lqr import Lqr
+        from sims.bicycle.lqr import BicycleLqr
 
-        return {"lqr": Lqr(self)}
+        return {"lqr": BicycleLqr(self)}
 
     def frame(self, trail: Tensor) -> np.ndarray:
         """RGB picture (uint8 ``[270, 480, 3]``): the path from above and the rider from behind, for

@@ -122,7 +122,7 @@ def regulator(F: Tensor, G: Tensor, state_cost: Tensor, action_cost: Tensor) -> 
     raise ValueError("this bicycle cannot be held upright by its linear regulator")
 
 
-class Lqr:
+class BicycleLqr:
     """The regulator as a controller: full states of ``bicycle`` ``[*batch, k]`` to actions
     ``[*batch, 2]`` in N m and m, not clipped.
 
@@ -163,7 +163,7 @@ def saved(bicycle: Ridden, start: Tensor, uniforms: Tensor | None = None) -> Ten
     uniforms: what disturbs the ride, ``[T, *batch, disturbance_dim]`` of at least 5 s; None for a
     ride without any.
     """
-    control, spec = Lqr(bicycle), bicycle.spec
+    control, spec = BicycleLqr(bicycle), bicycle.spec
     low = torch.tensor([q.low for q in spec.action], dtype=start.dtype)
     high = torch.tensor([q.high for q in spec.action], dtype=start.dtype)
     if uniforms is None:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from sims.base import Measure, Outcome, Quantity, Spec, Words
 from sims.cardea.arm import HIGH, LOW, slant, wrist
-from sims.cardea.physics import JOINTS, URDF, Robot, Step, pybullet, robot, step_rows
+from sims.cardea.physics import JOINTS, URDF, Robot, StepArguments, pybullet, robot, step_rows
 from sims.cardea.poses import STOPS, check_start, draw_goal, draw_start, goal_angles
 from sims.kinematics import Chain
 from sims.workers import Workers
@@ -352,7 +352,9 @@ class Cardea:
         """The next states ``[N, 14]`` of the rows ``numbers``, with the ``Trouble`` of each as a
         fifteenth column (what ``Robot.step`` says of touching is CONTACT or NONE)."""
         dt, substeps = self.physics_dt, self._substeps
-        rows: list[Step] = [(dt, substeps, *row) for row in zip(states, torques, strict=True)]
+        rows: list[StepArguments] = [
+            (dt, substeps, *row) for row in zip(states, torques, strict=True)
+        ]
         if self.workers == 0:
             return torch.tensor(step_rows(rows), dtype=torch.float64)
         moved = []
@@ -379,13 +381,13 @@ class Cardea:
         warnings.warn(f"cardea: row {row}: {what}", RuntimeWarning, stacklevel=3)
 
 
-def workers(count: int) -> Workers[Step, list[float]]:
+def workers(count: int) -> Workers[StepArguments, list[float]]:
     """The ``count`` processes that all the sims of this one share."""
     return _workers_of(count, os.getpid())
 
 
 @lru_cache
-def _workers_of(count: int, process: int) -> Workers[Step, list[float]]:
+def _workers_of(count: int, process: int) -> Workers[StepArguments, list[float]]:
     return Workers(step_rows, count)
 
 

@@ -51,7 +51,7 @@ def pybullet() -> ModuleType:
     return importlib.import_module("pybullet")
 
 
-Step = tuple[float, int, list[float], list[float]]
+StepArguments = tuple[float, int, list[float], list[float]]
 """s per physics step, how many of them, a state, torques: the arguments of ``step_rows``."""
 
 _robots: dict[tuple[int, float], Robot] = {}
@@ -66,7 +66,7 @@ def robot(physics_dt: float) -> Robot:
     return _robots[key]
 
 
-def step_rows(rows: list[Step]) -> list[list[float]]:
+def step_rows(rows: list[StepArguments]) -> list[list[float]]:
     """``Robot.step`` of each row."""
     return [robot(dt).step(state, torques, steps) for dt, steps, state, torques in rows]
 

@@ -18,7 +18,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 import conf
 from edtorch.app import schemas
 from edtorch.app.build import Setup, build
-from edtorch.app.rival import build_search
+from edtorch.app.random_search import build_search
 from edtorch.app.rivals import build_rival
 from edtorch.inverse.policy import InversePolicy
 from edtorch.learner.learner import Learner
@@ -134,7 +134,7 @@ def test_experiment_of_a_random_search(name: str) -> None:
         setup.policy,
         seed=setup.seed,
         processes=1,
-        wish="off",
+        mode="off",
         report=lambda progress: None,
     )
     assert len(found.policy) == 5 <= found.episodes

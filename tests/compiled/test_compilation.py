@@ -34,8 +34,8 @@ def test_without_a_compiler_functions_stay_as_they_are(
 ) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
     with caplog.at_level(logging.WARNING, "edtorch"):
-        assert compiled(len, wish="auto") is len
+        assert compiled(len, mode="auto") is len
     assert "not compiled" in caplog.text
     with pytest.raises(CannotCompile):
-        compiled(len, wish="on")
-    assert compiled(len, wish="off") is len
+        compiled(len, mode="on")
+    assert compiled(len, mode="off") is len

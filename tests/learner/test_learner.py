@@ -22,7 +22,7 @@ from edtorch.run.scaled_sim import World
 from edtorch.run.training import Training
 from edtorch.transform import FirstOrder, MeanOnly
 from edtorch.types import LearnerState, Transition
-from edtorch.value.choose import Wish, choose_path
+from edtorch.value.choose import Method, choose_path
 from edtorch.value.unroll import Horizon
 from sims.bicycle import Bicycle
 from sims.linear import LinearSystem
@@ -32,13 +32,13 @@ ONE = torch.tensor(1.0, dtype=torch.float64)
 
 
 def figure1_learner(
-    rate: float, noise_rate: float, alpha: float, horizon: Horizon, wish: Wish
+    rate: float, noise_rate: float, alpha: float, horizon: Horizon, method: Method
 ) -> Learner:
     model = next_state_model(1, 1)
     policy = LinearPolicy(1, 1, Identity(1))
     reward = QuadraticReward(f64([[1.0]]), f64([[0.0]]))
     noise = ResidualNoise(noise_rate)
-    path = choose_path(wish, model, policy, reward, FirstOrder(), horizon, noise=noise).path
+    path = choose_path(method, model, policy, reward, FirstOrder(), horizon, noise=noise).path
     return Learner(
         model=model,
         policy=policy,
@@ -67,10 +67,10 @@ def figure1_value(
     return value
 
 
-@pytest.mark.parametrize("wish", ["generic", "closed_form"])
-def test_figure_1_by_hand_in_one_dimension(wish: Wish) -> None:
+@pytest.mark.parametrize("method", ["generic", "closed_form"])
+def test_figure_1_by_hand_in_one_dimension(method: Method) -> None:
     rate, noise_rate, alpha, n, gamma = 0.2, 0.3, 0.05, 4, 0.9
-    learner = figure1_learner(rate, noise_rate, alpha, Horizon(n, 1.0, gamma, 1.0), wish)
+    learner = figure1_learner(rate, noise_rate, alpha, Horizon(n, 1.0, gamma, 1.0), method)
     state = learner.initial([0])
     ws, wa, nu, theta = 0.0, 0.0, 0.0, 0.0
     generator = torch.Generator().manual_seed(0)

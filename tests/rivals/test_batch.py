@@ -15,7 +15,7 @@ from edtorch.rivals.batch import (
     action_set,
     choices,
     collect,
-    joined,
+    concatenated,
     rewards,
 )
 from edtorch.rivals.ledger import Account
@@ -80,7 +80,7 @@ def test_an_episode_depends_on_seed_and_number_alone() -> None:
     assert len(actions) == 9
     whole = _collect(world, actions, 7, range(6), 30)
     two = [_collect(world, actions, 7, numbers, 30) for numbers in (range(2), range(2, 6))]
-    parts = joined(two)
+    parts = concatenated(two)
     assert parts.state.equal(whole.state)
     assert parts.next_state.equal(whole.next_state)
     assert not _collect(world, actions, 8, range(6), 30).state.equal(whole.state)

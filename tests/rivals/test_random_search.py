@@ -52,7 +52,7 @@ def _short_ride() -> World:
 
 
 def _search(settings: RandomSearch, world: World, **more: Any) -> SearchResult:
-    options: dict[str, Any] = {"seed": 5, "processes": 1, "wish": "off"} | more
+    options: dict[str, Any] = {"seed": 5, "processes": 1, "mode": "off"} | more
     return search(settings, world, _policy(world), report=lambda progress: None, **options)
 
 
@@ -177,7 +177,7 @@ def test_progress_ends_with_the_result() -> None:
     world = _short_ride()
     reports: list[Progress] = []
     found = search(
-        FEW, world, _policy(world), seed=5, processes=1, wish="off", report=reports.append
+        FEW, world, _policy(world), seed=5, processes=1, mode="off", report=reports.append
     )
     last = reports[-1]
     assert (last.decided, last.goal, last.stable, last.steps) == (
@@ -195,7 +195,7 @@ def test_a_report_that_raises_ends_the_search() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        search(FEW, world, _policy(world), seed=5, processes=1, wish="off", report=stop)
+        search(FEW, world, _policy(world), seed=5, processes=1, mode="off", report=stop)
 
 
 @pytest.mark.parametrize(
@@ -252,7 +252,7 @@ def test_footnote_1(six: bool, goal: int, stable: int, total: int) -> None:
         )
     )
     settings = RandomSearch(policies=10_000)
-    found = _search(settings, world, seed=0, processes=2, wish="on")
+    found = _search(settings, world, seed=0, processes=2, mode="on")
     for count, expected in ((found.goal, goal), (found.stable, stable)):
         share = Proportion(int(count.sum()), settings.policies)
         assert same_rate(share, Proportion(expected, total)) > 0.001

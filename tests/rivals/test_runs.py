@@ -66,9 +66,11 @@ def _plainly(weight: Tensor, key: Tensor, limit: int) -> tuple[int, int, float]:
 @pytest.mark.parametrize(("slots", "look"), [(16, 64), (3, 7)])
 def test_returns_are_those_of_a_plain_loop(slots: int, look: int) -> None:
     world = _world()
-    tally = Return(SparseReward(_reward()), DISCOUNT, world.dt)
+    accumulator = Return(SparseReward(_reward()), DISCOUNT, world.dt)
     policy = LinearPolicy(5, 2, Identity(5))
-    runs = Runs(world, policy, wish="off", slots=slots, look=look, tally=tally, limit=120)
+    runs = Runs(
+        world, policy, mode="off", slots=slots, look=look, accumulator=accumulator, limit=120
+    )
     weight, key = _weights(8), _keys(8)
     outcomes: set[int] = set()
     for _ in range(2):
@@ -86,13 +88,13 @@ def test_a_loop_in_the_graph_changes_nothing() -> None:
     """With exploration and all sums of a likelihood ratio."""
     world = _world()
     policy = LinearPolicy(5, 2, Identity(5))
-    tally = LikelihoodRatio(SparseReward(_reward()), policy.features, 5, 2, 0.3, 0.99, 0.01)
-    tick = one_tick(world, policy, tally, 100)
+    accumulator = LikelihoodRatio(SparseReward(_reward()), policy.features, 5, 2, 0.3, 0.99, 0.01)
+    tick = one_tick(world, policy, accumulator, 100)
     weight, key = _weights(6), _keys(6)
     zero = torch.zeros(6, dtype=torch.int64)
     with torch.inference_mode():
         state = world.initial(uniform(key, zero, world.uniforms))
-        arguments = (state, weight, key, zero, zero.clone(), *tally.begin(6))
+        arguments = (state, weight, key, zero, zero.clone(), *accumulator.begin(6))
         found = zip(looped(tick, 40)(*arguments), scanned(tick, 40)(*arguments), strict=True)
         assert all(one.equal(other) for one, other in found)
 
@@ -114,7 +116,7 @@ def test_fresh_episodes() -> None:
     """As their outcomes and ticks say; those of a seed do not depend on what is tried beside it."""
     world = _world()
     policy = LinearPolicy(5, 2, Identity(5))
-    runs = Runs(world, policy, wish="off", slots=4)
+    runs = Runs(world, policy, mode="off", slots=4)
     weight = _weights(2)
     both = fresh_episodes(runs, world, weight, [4, 9], 3, pause)
     alone = fresh_episodes(runs, world, weight[1:], [9], 3, pause)
@@ -141,8 +143,8 @@ def test_single_precision_is_nearly_the_same() -> None:
     for dtype in (torch.float64, torch.float32):
         world = World(Bicycle(time_limit=3.0), dtype)
         policy = LinearPolicy(5, 2, Identity(5), dtype)
-        tally = Return(SparseReward(_reward()), DISCOUNT, world.dt)
-        runs = Runs(world, policy, wish="off", slots=6, tally=tally)
+        accumulator = Return(SparseReward(_reward()), DISCOUNT, world.dt)
+        runs = Runs(world, policy, mode="off", slots=6, accumulator=accumulator)
         ended.append(runs(torch.zeros(6, 2, 5), _keys(6), pause))
     double, single = ended
     assert double.ticks.equal(single.ticks)

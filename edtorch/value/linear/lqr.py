@@ -21,7 +21,7 @@ class NotConverged(ValueError):
 
 
 @dataclass(frozen=True)
-class Regulator:
+class LqrSolution:
     """gains theta of a = theta s, ``[T, *batch, m, n]``, first step first; cost ``[*batch, n, n]``,
     the P_0 of V = -(mean'P_0 mean + tr(P_0 cov) + noise); costs ``[T + 1, *batch, n, n]``,
     P_0..P_T.
@@ -39,7 +39,7 @@ def _gain(F: Tensor, G: Tensor, R: Tensor, P: Tensor, discount: float) -> Tensor
 
 def finite_horizon_lqr(
     F: Tensor, G: Tensor, Q: Tensor, R: Tensor, *, steps: int, discount: float = 1.0
-) -> Regulator:
+) -> LqrSolution:
     """Riccati's recursion backwards: the gains that maximise the sum of ``steps`` + 1 rewards.
 
     The sum is that of section 3's definition, gamma^k r(s_k, a_k) for k = 0..steps, where the last
@@ -55,7 +55,7 @@ def finite_horizon_lqr(
         P = 0.5 * (P + P.mT)
         gains.insert(0, theta)
         costs.insert(0, P)
-    return Regulator(torch.stack(gains), P, torch.stack(costs))
+    return LqrSolution(torch.stack(gains), P, torch.stack(costs))
 
 
 def _doubled(A: Tensor, W: Tensor, H: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -124,14 +124,14 @@ def stationary_covariance(A: Tensor, noise: Tensor, *, tolerance: float = 1e-14)
     raise NotConverged("no stationary covariance: the closed loop is not stable")
 
 
-def regulated_value(regulator: Regulator, start: Belief, noise: Tensor, discount: float) -> Tensor:
+def regulated_value(solution: LqrSolution, start: Belief, noise: Tensor, discount: float) -> Tensor:
     """V ``[*batch]`` of a regulator from ``start`` under noise nu ``[*batch, n, n]``.
 
     -(mean'P_0 mean + tr(P_0 cov) + sum_{k=1..T} gamma^k tr(P_k nu)): exact for any distribution of
     the noise.
     """
     first = start.mean.unsqueeze(-1) * start.mean.unsqueeze(-2) + start.cov
-    total = (regulator.cost * first).sum((-1, -2))
-    for k, P in enumerate(regulator.costs[1:], start=1):
+    total = (solution.cost * first).sum((-1, -2))
+    for k, P in enumerate(solution.costs[1:], start=1):
         total = total + discount**k * (P * noise).sum((-1, -2))
     return -total

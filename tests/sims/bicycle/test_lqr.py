@@ -11,7 +11,7 @@ import torch
 from edtorch.value.linear.lqr import stationary_lqr
 from sims.base import Measured
 from sims.bicycle import RANDLOV, Bicycle, Physics, semi_implicit
-from sims.bicycle.lqr import ACTION_COST, STATE_COST, Lqr, linearised, regulator, saved
+from sims.bicycle.lqr import ACTION_COST, STATE_COST, BicycleLqr, linearised, regulator, saved
 
 COSTS = (torch.tensor(STATE_COST).double(), torch.tensor(ACTION_COST).double())
 
@@ -73,7 +73,7 @@ def test_a_yardstick_of_each_bicycle_also_after_the_change() -> None:
     sim = Bicycle(spread=0.3, change_at=0.02, change={"v": 5.0})
     assert isinstance(sim, Measured)
     control = sim.yardsticks()["lqr"]
-    assert isinstance(control, Lqr)
+    assert isinstance(control, BicycleLqr)
     generator = torch.Generator().manual_seed(0)
     state = sim.initial(torch.rand(3, 8, generator=generator, dtype=torch.float64))
     first = control.gains(state)
@@ -82,4 +82,4 @@ def test_a_yardstick_of_each_bicycle_also_after_the_change() -> None:
         state = sim.step(state, control(state), torch.full((3, 3), 0.5).double())
     assert not torch.equal(control.gains(state), first)
     plain = Bicycle(physics=Physics(true_precession=True))
-    assert Lqr(plain)(plain.initial(torch.zeros(1, 1).double())).shape == (1, 2)
+    assert BicycleLqr(plain)(plain.initial(torch.zeros(1, 1).double())).shape == (1, 2)

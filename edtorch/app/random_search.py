@@ -27,7 +27,7 @@ from edtorch.app.errors import ConfigError
 from edtorch.app.policy import build_policy, policy_card
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
-from edtorch.compiled.compilation import Wish
+from edtorch.compiled.compilation import CompileMode
 from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import milestones
 from edtorch.report.proportions import Proportion
@@ -53,7 +53,7 @@ class SearchSetup:
     policy: LinearPolicy
     seed: int
     processes: int
-    wish: Wish
+    mode: CompileMode
 
 
 def is_rival(config: DictConfig) -> bool:
@@ -248,7 +248,7 @@ def run_search(
             setup.policy,
             seed=setup.seed,
             processes=setup.processes,
-            wish=setup.wish,
+            mode=setup.mode,
             report=report,
         )
     finally:
