@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from edtorch.app import train
+from edtorch.app import outputs
 from edtorch.app.build import build
 from edtorch.app.rundir import load_config
 from edtorch.app.signals import SIGNALS, Stop
@@ -83,7 +83,7 @@ def test_an_interrupted_run_can_be_evaluated_and_ends_after_a_whole_tick(
 
     options = ("seeds=2", "train.rides=null", "log.figures=false", "eval.episodes=0")
     with monkeypatch.context() as patch:
-        patch.setattr(train.Training, "advance", interrupted)
+        patch.setattr(Training, "advance", interrupted)
         command("edtorch-train", *options, "train.seconds=100", "hydra.run.dir=cut")
     folder = workplace / "cut"
     assert json.loads((folder / "status.json").read_text())["status"] == "interrupted"
@@ -105,7 +105,7 @@ def test_a_crash_is_recorded(
     def crash(*arguments: object, **more: object) -> None:
         raise RuntimeError("the pictures fell off the wall")
 
-    monkeypatch.setattr(train, "draw", crash)
+    monkeypatch.setattr(outputs, "draw", crash)
     with pytest.raises(RuntimeError, match="fell off"):
         command("edtorch-train", "seeds=1", "train.seconds=2", "eval.episodes=0", "hydra.run.dir=x")
     folder = workplace / "x"
@@ -122,7 +122,7 @@ def test_full_disk_is_one_line_and_recorded(
     def full(*arguments: object, **more: object) -> None:
         raise OSError(28, "No space left on device", "learning_curve.png")
 
-    monkeypatch.setattr(train, "draw", full)
+    monkeypatch.setattr(outputs, "draw", full)
     result = command(
         "edtorch-train", "seeds=1", "train.seconds=2", "eval.episodes=0", "hydra.run.dir=x"
     )

@@ -1,0 +1,88 @@
+"""What a learner's run leaves in its folder."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import OmegaConf
+
+from edtorch.app.job import Job
+from edtorch.app.pictures import draw, draw_reaching
+from edtorch.app.rundir import (
+    CHECKPOINT,
+    POLICY,
+    SUMMARY,
+    TRANSITIONS,
+    command_line,
+    json_text,
+    versions,
+)
+from edtorch.app.summary import Timing, flat_settings, medians
+from edtorch.run.checkpoint import save_policy, save_training, write_text
+from edtorch.run.log import CsvSink, Sink, TensorBoardSink
+from edtorch.run.training import Training
+from edtorch.run.transitions_file import gathered, save_transitions
+
+
+@contextlib.contextmanager
+def _timed(timing: Timing, name: str) -> Iterator[None]:
+    began = time.monotonic()
+    yield
+    setattr(timing, name, time.monotonic() - began)
+
+
+def _measures(training: Training) -> list[str]:
+    """Names of what the sim measures at the end of an episode, where that tells of a goal."""
+    if not training.world.spec.goal:
+        return []
+    world, zero = training.worlds.world[:1], torch.zeros(1, dtype=torch.float64)
+    return list(training.world.sim.measures(world, world, zero))
+
+
+def open_sinks(job: Job, folder: Path) -> tuple[list[Sink], TensorBoardSink | None]:
+    """What writes the progress of ``job`` to files of ``folder``, and TensorBoard's alone."""
+    sinks: list[Sink] = [CsvSink(folder, _measures(job.training))]
+    board = None
+    if job.config.log.tensorboard:
+        board = TensorBoardSink(folder, OmegaConf.to_yaml(job.config, resolve=True))
+        sinks.append(board)
+    return sinks, board
+
+
+def save_learned(job: Job, folder: Path, *, ended: bool) -> None:
+    """Save the population; when learning has ended, also policies and recorded transitions."""
+    save_training(folder / CHECKPOINT, job.training)
+    if not ended:
+        return
+    save_policy(folder / POLICY, job.policies, job.setup.card)
+    if job.recorder is not None:
+        seeds, world = job.setup.seeds, job.setup.world
+        lives = [job.recorder.lived(row) for row in range(len(seeds))]
+        about = {"command": command_line(), "versions": versions()}
+        recorded = gathered(lives, seeds, world.dt)
+        save_transitions(folder / TRANSITIONS, recorded, world.spec, about)
+
+
+def save_results(job: Job, folder: Path, board: TensorBoardSink | None) -> dict[str, Any]:
+    """After the evaluation: policies, figures and summary; returns the content of the latter."""
+    save_policy(folder / POLICY, job.policies, job.setup.card)
+    training, log = job.training, job.config.log
+    with _timed(job.timing, "figures_s"):
+        if log.figures:
+            if training.world.spec.goal:
+                calm = job.setup.calm()
+                figure = draw_reaching(training, calm, folder, animate=log.animation)
+            else:
+                figure = draw(training, folder, animate=log.animation)
+            if board is not None:
+                board.writer.add_figure("learning_curve", figure, round(training.seconds))
+    summary = job.summary()
+    if board is not None:
+        board.hparams(flat_settings(job.config), medians(summary))
+    write_text(folder / SUMMARY, json_text(summary))
+    return summary
