@@ -70,8 +70,8 @@ def numbers(training: Training) -> dict[str, Array]:
         "theta": learners.policy["weight"],
         "ticks": training.clock - here.begun,
         "episodes": here.episodes,
-        "falls": here.falls,
-        "rides": here.rides,
+        "falls": here.failures,
+        "rides": here.successes,
     }
     if learners.noise:
         found["noise"] = learners.noise["nu"]

@@ -93,9 +93,12 @@ class Spec:
     A family of tasks has a goal among its state components, constant during an episode: ``goal``
     names them, and ``tracked``, of the same length, the components that they are wanted values of.
     ``measures``: the figures of an episode that reports show; ``words``: what its ends are called.
-    ``survival``: whether reaching the time limit without a failure is a success, None: it is if
-    some episode of the run has failed.  ``shortest``: name of the measure that is the
-    least time in which an episode can succeed, s, "" where the sim knows none.
+    ``shortest``: name of the measure that is the least time in which an episode can succeed, s, ""
+    where the sim knows none.
+
+    What makes an episode a success, beside ``Outcome.SUCCEEDED`` (``edtorch.run.success``):
+    ``success_return``: a return of at least this much; ``survival``: whether reaching the time
+    limit without a failure is one, None: it is if some episode of the run has failed.
     """
 
     name: str
@@ -113,6 +116,7 @@ class Spec:
     words: Words = Words()
     survival: bool | None = None
     shortest: str = ""
+    success_return: float | None = None
 
 
 def spec_index(spec: Spec, names: Iterable[str]) -> list[int]:
@@ -192,6 +196,34 @@ class Fallible(Protocol):
 
     def stepped(self, state: Tensor) -> Tensor:
         """Whether the step to ``state`` was one, bool ``[*batch]``."""
+        ...
+
+
+@runtime_checkable
+class Rewarded(Protocol):
+    """A sim with a reward of its own."""
+
+    def total_reward(self, state: Tensor) -> Tensor:
+        """Sum of the rewards of the episode up to ``state``, float64 ``[*batch]``."""
+        ...
+
+
+@runtime_checkable
+class Judged(Protocol):
+    """A sim that may know whether an episode succeeds without ending it for that."""
+
+    def succeeded(self, state: Tensor) -> Tensor:
+        """Int64 ``[*batch]``: 1 if an episode that ends in ``state`` is a success, 0 if not, -1 if
+        the sim does not know."""
+        ...
+
+
+@runtime_checkable
+class Losing(Protocol):
+    """A sim whose episodes can be lost to a fault of the simulator: they count for nothing."""
+
+    def lost(self, state: Tensor) -> Tensor:
+        """Whether the episode that is in ``state`` was lost, bool ``[*batch]``."""
         ...
 
 

@@ -14,18 +14,21 @@ from torch import Tensor
 
 from sims.base import Outcome, Quantity, Spec
 
-_TERMINATED, _TRUNCATED, _RETURN = -3, -2, -1
+_TERMINATED, _TRUNCATED, _SUCCESS, _RETURN = -4, -3, -2, -1
 
 
 class GymnasiumSim:
     """The Gymnasium environment ``env_id``, one copy of it for each row of the batch.
 
     ======== ==================================================================================
-    state    ``[*batch, n + 3]``: the observation, terminated, truncated (0 or 1), and the
-             return (sum of rewards) so far; only the first n are observed
+    state    ``[*batch, n + 4]``: the observation; terminated, truncated (0 or 1); success (1 or
+             0 by ``info["is_success"]``, -1 where there is none); the return (sum of rewards) so
+             far.  Only the first n are observed
     action   ``[*batch, m]``, in the environment's own units
     start    the environment's, seeded by the one uniform number of a restart
     end      terminated: FAILED (or SUCCEEDED, by ``termination``); truncated: TIMED_OUT
+    success  as the environment says, else a return of at least its registered threshold, else
+             ``sims.base.Spec.survival``
     measures ``return``
     ======== ==================================================================================
 
@@ -100,6 +103,8 @@ class GymnasiumSim:
             reset_dim=1,
             clip_action=clip_action,
             headline=state[0].name if headline is None else headline,
+            success_return=None if env.spec is None else env.spec.reward_threshold,
+            survival=False if termination == "success" else None,
         )
         if self._spec.headline not in [quantity.name for quantity in state]:
             names = ", ".join(quantity.name for quantity in state)
@@ -111,7 +116,7 @@ class GymnasiumSim:
         return self._spec
 
     def initial(self, uniforms: Tensor) -> Tensor:
-        """Start states ``[*batch, n + 3]``; uniforms ``[*batch, 1]`` in [0, 1) seed the copies."""
+        """Start states ``[*batch, n + 4]``; uniforms ``[*batch, 1]`` in [0, 1) seed the copies."""
         seeds = uniforms.reshape(-1, 1)
         while len(self._envs) < len(seeds):
             self._envs.append(self._make())
@@ -133,11 +138,13 @@ class GymnasiumSim:
         for k, row in enumerate(rows):
             if row[_TERMINATED] or row[_TRUNCATED]:
                 continue
-            observation, reward, terminated, truncated, _ = self._envs[k].step(
+            observation, reward, terminated, truncated, info = self._envs[k].step(
                 actions[k].astype(self._box.dtype)
             )
             row[:_TERMINATED] = torch.as_tensor(np.asarray(observation))
             row[_TERMINATED], row[_TRUNCATED] = float(terminated), float(truncated)
+            if "is_success" in info:
+                row[_SUCCESS] = float(bool(info["is_success"]))
             row[_RETURN] += float(reward)
         return self._return(rows.reshape(state.shape))
 
@@ -148,8 +155,17 @@ class GymnasiumSim:
     def outcome(self, state: Tensor) -> Tensor:
         """``Outcome`` of each row as int64 ``[*batch]``; numbers that are not finite are FAILED."""
         outcome = torch.where(state[..., _TRUNCATED] != 0, int(Outcome.TIMED_OUT), 0)
-        outcome = torch.where(state[..., _TERMINATED] != 0, int(self._ended), outcome)
+        ended = torch.where(state[..., _SUCCESS] == 0, int(Outcome.FAILED), int(self._ended))
+        outcome = torch.where(state[..., _TERMINATED] != 0, ended, outcome)
         return torch.where(state.isfinite().all(-1), outcome, int(Outcome.FAILED))
+
+    def total_reward(self, state: Tensor) -> Tensor:
+        """The sum of the environment's rewards so far, ``[*batch]``."""
+        return state[..., _RETURN]
+
+    def succeeded(self, state: Tensor) -> Tensor:
+        """What ``info["is_success"]`` last was, int64 ``[*batch]``: 1, 0, or -1 without it."""
+        return state[..., _SUCCESS].to(torch.int64)
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """``return``: the sum of the environment's rewards, ``[*batch]``."""
@@ -165,8 +181,9 @@ class GymnasiumSim:
 
     def _reset(self, k: int, uniform: Tensor) -> Tensor:
         observation, _ = self._envs[k].reset(seed=int(float(uniform) * 2**31))
-        row = torch.zeros(len(self._spec.state) + 3, dtype=uniform.dtype)
+        row = torch.zeros(len(self._spec.state) + 4, dtype=uniform.dtype)
         row[:_TERMINATED] = torch.as_tensor(np.asarray(observation))
+        row[_SUCCESS] = -1.0
         return row
 
     def _rows(self, state: Tensor) -> Tensor:

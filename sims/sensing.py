@@ -16,10 +16,13 @@ from sims.base import (
     Fallible,
     Invertible,
     Jointed,
+    Judged,
     Lasting,
+    Losing,
     Measured,
     Pictured,
     Quantity,
+    Rewarded,
     Sim,
     Spec,
 )
@@ -185,6 +188,12 @@ def _offers(sim: Sim, memory: int) -> dict[str, Any]:
         offers["applied"] = partial(_of_inner, sim.applied, memory)
     if isinstance(sim, Invertible):
         offers["inverse_dynamics"] = partial(_of_inner, sim.inverse_dynamics, memory)
+    if isinstance(sim, Rewarded):
+        offers["total_reward"] = partial(_of_inner, sim.total_reward, memory)
+    if isinstance(sim, Judged):
+        offers["succeeded"] = partial(_of_inner, sim.succeeded, memory)
+    if isinstance(sim, Losing):
+        offers["lost"] = partial(_of_inner, sim.lost, memory)
     if isinstance(sim, Measured):
         offers["yardsticks"] = partial(_yardsticks, sim, memory)
     if isinstance(sim, Jointed):

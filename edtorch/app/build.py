@@ -25,6 +25,7 @@ from edtorch.app.inverse import build_inverse_learner, has_inverse, inverse_path
 from edtorch.app.limit import build_schedule
 from edtorch.app.observation import check_unobserved
 from edtorch.app.policy import policy_card
+from edtorch.app.reward import build_reward
 from edtorch.learner.learner import AnyLearner, Learner
 from edtorch.learner.schedule import Schedule
 from edtorch.run.checkpoint import PolicyCard
@@ -113,8 +114,10 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
             f" eval.episodes, here {sim.spec.name} and {config.eval.episodes}"
         )
     unwrap = config.observation.unwrap
+    reward = build_reward(config.reward, sim, compute.dtype, compute.device)
+    threshold = config.eval.success_return
     with under("observation"):
-        world = World(sim, compute.dtype, compute.device, unwrap)
+        world = World(sim, compute.dtype, compute.device, unwrap, reward, threshold)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     if config.eval.domain:
         build_sim(evaluated)
@@ -133,7 +136,8 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
     card = policy_card(sim, learner.policy, seeds)
 
     def calm() -> World:
-        return World(build_sim(evaluated), compute.dtype, compute.device, unwrap)
+        sim = build_sim(evaluated)
+        return World(sim, compute.dtype, compute.device, unwrap, reward, threshold)
 
     return Setup(
         learner,

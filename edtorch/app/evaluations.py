@@ -176,7 +176,7 @@ class Evaluations:
         return Paid(
             seconds=self._ticks[row] * training.world.dt,
             episodes=int(here.episodes[row]),
-            falls=int(here.falls[row]),
+            falls=int(here.failures[row]),
             cpu_s=self._paid_cpu_s[row],
         )
 

@@ -66,7 +66,8 @@ class Job:
             self.recorder,
         )
         self.evaluations = Evaluations(setup, config)
-        logger.info("%s; %s; %s", self.title, setup.path, self._precision)
+        budget = setup.budget.in_words(setup.world.spec.words.successes)
+        logger.info("%s; at most %s each; %s; %s", self.title, budget, setup.path, self._precision)
 
     @property
     def title(self) -> str:

@@ -91,12 +91,16 @@ def build_rival(config: DictConfig) -> RivalSetup:
     dtype = rival_dtype(config.compute)
     sim = build_sim(config.domain)
     evaluated = build_sim(changed_domain(config.domain, config.eval.domain, "eval.domain"))
+    reward, threshold = build_reward(config.reward, sim, dtype), config.eval.success_return
     with under("observation"):
-        world, calm = (World(s, dtype, unwrap=config.observation.unwrap) for s in (sim, evaluated))
+        world, calm = (
+            World(s, dtype, None, config.observation.unwrap, reward, threshold)
+            for s in (sim, evaluated)
+        )
     problem = Problem(
         world=world,
         policy=build_policy(config.policy, sim, dtype, config.seed),
-        reward=build_reward(config.reward, sim, dtype),
+        reward=reward,
         seeds=range(config.seed, config.seed + config.seeds),
         compile=config.compute.compile,
     )

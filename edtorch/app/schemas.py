@@ -519,12 +519,14 @@ class BudgetConfig:
 class EvalConfig:
     """episodes: fresh ones per seed after training; 0: none; keep: further ones, by which the best
     policy so far is kept; 0: the last policy is; minutes: simulated ones after which there are as
-    many on the way; domain: settings of the domain that are others meanwhile."""
+    many on the way; domain: settings of the domain that are others meanwhile; success_return: the
+    return from which an episode is a success, null for what the domain says of success."""
 
     episodes: int = 100
     keep: int = 0
     minutes: list[float] = field(default_factory=list)
     domain: dict[str, Any] = field(default_factory=dict)
+    success_return: float | None = None
 
 
 @dataclass

@@ -48,9 +48,9 @@ class _Graph(torch.nn.Module):
         here: Population = pytree.tree_unflatten([first(leaf) for leaf in leaves], self.spec)
         draw = Draw(first(uniform), first(normal))
         here, outcome = self.tick.live(here, draw, clock, improve=self.improve)
-        world = here.worlds.world
+        world, earned = here.worlds.world, here.worlds.earned
         here = self.tick.turn(here, outcome, draw, clock)
-        return [stored(leaf) for leaf in pytree.tree_leaves(here)], outcome, stored(world)
+        return [stored(leaf) for leaf in pytree.tree_leaves(here)], outcome, stored(world), earned
 
 
 @dataclass(frozen=True)
@@ -189,8 +189,9 @@ def compile_tick(tick: Tick, tile: Population, draw: Draw, *, improve: bool) -> 
     or one that leaves them as they are.
 
     It takes the leaves of a ``Population``, uniform ``[u, B]``, normal ``[m, B]`` and the number of
-    the tick (int64 ``[]``), and returns the new leaves, the outcomes ``[B]`` and the worlds
-    ``[k, B]`` before new episodes began.  draw: of any tick, for its shapes.  Raises CannotCompile.
+    the tick (int64 ``[]``), and returns the new leaves, the outcomes ``[B]``, and the worlds
+    ``[k, B]`` and returns ``[B]`` before new episodes began.  draw: of any tick, for its shapes.
+    Raises CannotCompile.
     """
     learner = tick.learner
     if not isinstance(learner, Learner):

@@ -157,6 +157,7 @@ class Tiles:
                 episodes=m[2],
                 active=m[3],
                 world=first(m[5]),
+                earned=m[6],
                 outcome=m[4],
             )
             for now, m, any_ended in zip(

@@ -15,7 +15,8 @@ RIDES = (Outcome.SUCCEEDED, Outcome.TIMED_OUT)
 class Budget:
     """What a learner may use; whichever ends first ends it.  None: unlimited.
 
-    seconds: simulated; episodes: ended in any way; rides: see ``RIDES``.
+    seconds: simulated; episodes: ended in any way; rides: successes, and episodes of which nothing
+    is known but that they did not fail.
     """
 
     seconds: float | None = None
@@ -25,6 +26,15 @@ class Budget:
     def __post_init__(self) -> None:
         if self.seconds is None and self.episodes is None and self.rides is None:
             raise ValueError("no budget: give seconds, episodes or rides")
+
+    def in_words(self, successes: str) -> str:
+        """For people; successes: what several of them are called."""
+        limits = (
+            (self.seconds, "simulated s"),
+            (self.episodes, "episodes"),
+            (self.rides, successes),
+        )
+        return " or ".join(f"{limit:g} {unit}" for limit, unit in limits if limit is not None)
 
 
 @dataclass(frozen=True)

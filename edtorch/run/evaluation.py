@@ -6,6 +6,7 @@ in which its seed learned.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -17,6 +18,7 @@ from edtorch.learner.observer import Observer
 from edtorch.run.episodes import Episode
 from edtorch.run.random import Purpose, Streams, learning_streams, stream_key
 from edtorch.run.scaled_sim import World
+from edtorch.run.success import as_success, settled
 from edtorch.types import Parameters, Transition, select
 from sims.base import Lasting, Outcome
 
@@ -34,18 +36,21 @@ def evaluate(
     *,
     watch: Watch | None = None,
     observer: Observer | None = None,
+    among: Sequence[Episode] = (),
 ) -> list[list[Episode]]:
     """Run ``episodes`` fresh episodes of each policy, without exploration and without learning.
 
     parameters: ``[S, ...]``, one policy per seed.  Returns the episodes of each policy, in order;
     episode e of a seed is the same whatever else is evaluated beside it.  watch: see ``Watch``;
-    observer: what the policies estimate the state with, None if they take what they observe for it.
+    observer: what the policies estimate the state with, None if they take what they observe for it;
+    among: the other episodes of the run, see ``edtorch.run.success.settled``.  Lost episodes are
+    left out.
     """
     expanded = {k: p.repeat_interleave(episodes, dim=0) for k, p in parameters.items()}
     rider = _Memoryless(lambda state, observation: policy.action(expanded, observation))
     if observer is not None:
         rider = _Observing(policy, expanded, observer)
-    return _run(rider, world, seeds, episodes, watch)
+    return _run(rider, world, seeds, episodes, watch, among)
 
 
 def evaluate_yardstick(
@@ -54,7 +59,7 @@ def evaluate_yardstick(
     """The same episodes with a controller that sees all: full states ``[N, k]`` to actions
     ``[N, m]``, physical units (``sims.base.Measured``)."""
     rider = _Memoryless(lambda state, observation: world.scaled(control(state)))
-    return _run(rider, world, seeds, episodes, None)
+    return _run(rider, world, seeds, episodes, None, ())
 
 
 class _Rider(Protocol):
@@ -117,6 +122,7 @@ def _run(
     seeds: Sequence[int],
     episodes: int,
     watch: Watch | None,
+    among: Sequence[Episode],
 ) -> list[list[Episode]]:
     keys = [stream_key(s, Purpose.EVALUATION, e) for s in seeds for e in range(episodes)]
     streams = Streams(keys, world.uniforms, 0, world.dtype, world.device)
@@ -125,6 +131,7 @@ def _run(
         start = state = starts(world, seeds, episodes, streams.at(0).uniform)
         observation = world.observe(state)
         active = torch.ones(len(keys), dtype=torch.bool, device=world.device)
+        earned = torch.zeros(len(keys), dtype=torch.float64, device=world.device)
         clock = torch.zeros((), dtype=torch.int64, device=world.device)
         while bool(active.any()):
             clock += 1
@@ -135,13 +142,16 @@ def _run(
                 watch(state)
             before, observation = observation, world.observe(state, observation)
             applied, valid = world.applied(state, action), world.stepped(state, active)
-            rider.saw(Transition(before, applied, observation, world.seconds, valid))
-            outcome = world.outcome(state, clock)
+            transition = Transition(before, applied, observation, world.seconds, valid)
+            rider.saw(transition)
+            earned = torch.where(active, world.earned(earned, state, transition), earned)
+            outcome = world.outcome(state, clock, earned)
             ended = active & (outcome != int(Outcome.RUNNING))
             if bool(ended.any()):
                 seconds = (clock.to(torch.float64) * world.dt).expand(len(keys))
                 measures = world.sim.measures(start, state, seconds)
-                for index in ended.nonzero().flatten().tolist():
+                success = world.success(state, outcome).tolist()
+                for index in (ended & ~world.lost(state)).nonzero().flatten().tolist():
                     row, number = divmod(index, episodes)
                     finished[row].append(
                         Episode(
@@ -151,9 +161,12 @@ def _run(
                             seconds=float(seconds[index]),
                             outcome=Outcome(int(outcome[index])),
                             measures={k: float(m[index]) for k, m in measures.items()},
+                            total_reward=float(earned[index]) if world.has_return else math.nan,
+                            success=as_success(success[index]),
                         )
                     )
                 active = active & ~ended
     for row in finished:
         row.sort(key=lambda e: e.number)
-    return finished
+    everything = [*among, *(e for own in finished for e in own)]
+    return [settled(own, everything) for own in finished]

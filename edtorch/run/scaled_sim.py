@@ -1,4 +1,5 @@
-"""A sim in a learner's units: states and actions divided by the domain's scales."""
+"""A sim in a learner's units: states and actions divided by the domain's scales, what an episode
+earns and when it is a success."""
 
 from __future__ import annotations
 
@@ -7,7 +8,10 @@ import math
 import torch
 from torch import Tensor
 
-from sims.base import Actuated, Fallible, Outcome, Sim
+from edtorch.rewards import Reward
+from edtorch.run.success import SuccessRule
+from edtorch.types import Transition
+from sims.base import Actuated, Fallible, Losing, Outcome, Rewarded, Sim
 
 
 class World:
@@ -19,6 +23,10 @@ class World:
     unwrap: how far (rad) beyond half a turn an angle is counted on before it is wrapped again; None
     wraps it always.  A policy linear in a wrapped angle reverses its command behind the back, where
     half a turn to the left becomes one to the right.
+
+    reward: of scaled states and actions, per second, for the return of an episode where the sim has
+    none of its own (``sims.base.Rewarded``); success_return: the return from which an episode is a
+    success, None for the domain's (``edtorch.run.success``).
     """
 
     def __init__(
@@ -27,10 +35,20 @@ class World:
         dtype: torch.dtype = torch.float64,
         device: torch.device | None = None,
         unwrap: float | None = None,
+        reward: Reward | None = None,
+        success_return: float | None = None,
     ) -> None:
         if unwrap is not None and not 0 <= unwrap < math.pi:
             raise ValueError(f"unwrap={unwrap}: expected a number in [0, pi) (rad), or null")
         self.sim = sim
+        self.reward = reward
+        self.has_return = reward is not None or isinstance(sim, Rewarded)
+        if success_return is not None and not self.has_return:
+            raise ValueError(
+                f"success_return={success_return}: expected null for {sim.spec.name} without a"
+                " reward, whose episodes have no return"
+            )
+        self.rule = SuccessRule.of(sim.spec, success_return)
         self.spec = sim.spec
         self.dtype = dtype
         self.device = device or torch.device("cpu")
@@ -114,8 +132,33 @@ class World:
             return active
         return active & self.sim.stepped(state)
 
-    def outcome(self, state: Tensor, ticks: Tensor) -> Tensor:
-        """``Outcome`` of each episode, ``[B]``, its time limit included; ticks ``[B]`` so far."""
+    def earned(self, before: Tensor, state: Tensor, transition: Transition) -> Tensor:
+        """Return of each episode so far, float64 ``[B]``: the sim's own sum of rewards up to
+        ``state``, else ``before`` plus dt r(s, a) of the transition that led there; ``before``
+        where there is neither (``has_return``)."""
+        if isinstance(self.sim, Rewarded):
+            return self.sim.total_reward(state).to(torch.float64)
+        if self.reward is None:
+            return before
+        reward = self.reward(transition.state, transition.action)
+        return before + self.dt * reward.to(torch.float64)
+
+    def outcome(self, state: Tensor, ticks: Tensor, earned: Tensor | None = None) -> Tensor:
+        """``Outcome`` of each episode, ``[B]``, its time limit included; ticks ``[B]`` so far;
+        earned ``[B]``: its return so far, None for the sim's own."""
         outcome = self.sim.outcome(state)
         late = (outcome == int(Outcome.RUNNING)) & (ticks >= self.limit_ticks)
-        return torch.where(late, int(Outcome.TIMED_OUT), outcome)
+        outcome = torch.where(late, int(Outcome.TIMED_OUT), outcome)
+        if earned is None and isinstance(self.sim, Rewarded):
+            earned = self.sim.total_reward(state)
+        return self.rule.outcome(self.sim, state, outcome, earned)
+
+    def success(self, state: Tensor, outcome: Tensor) -> Tensor:
+        """See ``SuccessRule.success``; state ``[B, k]``: the last one of each episode."""
+        return self.rule.success(self.sim, state, outcome)
+
+    def lost(self, state: Tensor) -> Tensor:
+        """Whether each episode was lost to a fault of the simulator, bool ``[B]``."""
+        if isinstance(self.sim, Losing):
+            return self.sim.lost(state)
+        return torch.zeros(state.shape[:-1], dtype=torch.bool, device=state.device)

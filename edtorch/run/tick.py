@@ -26,17 +26,20 @@ class Experience:
     """Where each learner of a population stands in its world; everything ``[B, ...]``.
 
     world, start: the sim's state now and at the start of the episode; observation: scaled;
-    begun: tick at which the episode began; active: still learning; counters of finished episodes.
+    begun: tick at which the episode began; earned: its return so far, float64; active: still
+    learning; counters of finished episodes, an episode being a success unless it is known not to be
+    (``edtorch.run.success``).
     """
 
     world: Tensor
     start: Tensor
     observation: Tensor
     begun: Tensor
+    earned: Tensor
     active: Tensor
     episodes: Tensor
-    falls: Tensor
-    rides: Tensor
+    failures: Tensor
+    successes: Tensor
 
 
 @tree_dataclass
@@ -127,10 +130,11 @@ class Tick:
             start=state,
             observation=self.world.observe(state),
             begun=zero,
+            earned=torch.zeros(size, dtype=torch.float64, device=device),
             active=everybody,
             episodes=zero,
-            falls=zero,
-            rides=zero,
+            failures=zero,
+            successes=zero,
         )
         learners = self.learner.begin(learners, everybody, worlds.observation)
         return Population(learners, worlds, Tally.zero(size, device))
@@ -155,10 +159,12 @@ class Tick:
         learners, metrics = self.learner.step(here.learners, transition, improve=improve)
         state = select(active, state, worlds.world)
         observation = select(active, observation, worlds.observation)
-        outcome = self.world.outcome(state, clock - worlds.begun)
+        earned = self.world.earned(worlds.earned, state, transition)
+        earned = torch.where(active, earned, worlds.earned)
+        outcome = self.world.outcome(state, clock - worlds.begun, earned)
         population = Population(
             learners,
-            replace(worlds, world=state, observation=observation),
+            replace(worlds, world=state, observation=observation, earned=earned),
             here.tally.add(metrics, active),
         )
         return population, torch.where(active, outcome, int(Outcome.RUNNING))
@@ -170,14 +176,17 @@ class Tick:
         budget."""
         worlds = here.worlds
         ended = outcome != int(Outcome.RUNNING)
-        fell = outcome == int(Outcome.FAILED)
-        episodes, falls = worlds.episodes + ended, worlds.falls + fell
-        rides = worlds.rides + (ended & ~fell)
+        counts = ended & ~self.world.lost(worlds.world)
+        failed = outcome == int(Outcome.FAILED)
+        succeeded = ~failed & (self.world.success(worlds.world, outcome) != 0)
+        episodes = worlds.episodes + ended
+        failures = worlds.failures + (counts & failed)
+        successes = worlds.successes + (counts & succeeded)
         active = worlds.active
         if self.most_episodes is not None:
             active = active & (episodes < self.most_episodes)
         if self.most_rides is not None:
-            active = active & (rides < self.most_rides)
+            active = active & (successes < self.most_rides)
         fresh = ended & active
         state = self.world.restart(worlds.world, fresh, draw.uniform)
         experience = Experience(
@@ -185,10 +194,11 @@ class Tick:
             start=select(fresh, state, worlds.start),
             observation=select(fresh, self.world.observe(state), worlds.observation),
             begun=torch.where(fresh, clock, worlds.begun),
+            earned=torch.where(fresh, 0.0, worlds.earned),
             active=active,
             episodes=episodes,
-            falls=falls,
-            rides=rides,
+            failures=failures,
+            successes=successes,
         )
         learners = self.learner.begin(here.learners, fresh, experience.observation)
         return replace(here, learners=learners, worlds=experience)

@@ -5,6 +5,7 @@ Nothing here writes or prints: whoever runs the loop asks it for snapshots and r
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,6 +19,7 @@ from edtorch.run.episodes import Budget, Episode, Snapshot
 from edtorch.run.random import Streams, learning_streams
 from edtorch.run.recorder import Recorder
 from edtorch.run.scaled_sim import World
+from edtorch.run.success import as_success, settled
 from edtorch.run.tick import Experience, Population, Tick
 from edtorch.run.trail import Trail
 from edtorch.types import LearnerState, replace
@@ -31,9 +33,9 @@ WATCHED = 16
 class Moment:
     """What a tick did to the learners ``rows`` of a population, and to padding after them.
 
-    start, begun, episodes, active: as in ``Experience``, before the tick; world ``[B, k]``: as the
-    tick left it, new episodes not yet begun; outcome ``[B]``: an ``Outcome``, RUNNING where no
-    episode has ended.
+    start, begun, episodes, active: as in ``Experience``, before the tick; world ``[B, k]``, earned
+    ``[B]``: as the tick left them, new episodes not yet begun; outcome ``[B]``: an ``Outcome``,
+    RUNNING where no episode has ended.
     """
 
     clock: int
@@ -43,6 +45,7 @@ class Moment:
     episodes: Tensor
     active: Tensor
     world: Tensor
+    earned: Tensor
     outcome: Tensor
 
 
@@ -113,7 +116,7 @@ class Eager:
             here, outcome = self._tick.live(self.population, draw, now, improve=improve)
             if self._recorder is not None:
                 self._recorder.add(self.population, draw, here, outcome)
-            world = here.worlds.world
+            after = here.worlds
             ended = bool(outcome.any())
             if ended:
                 here = self._tick.turn(here, outcome, draw, now)
@@ -126,7 +129,8 @@ class Eager:
                     begun=before.begun,
                     episodes=before.episodes,
                     active=before.active,
-                    world=world,
+                    world=after.world,
+                    earned=after.earned,
                     outcome=outcome,
                 )
                 note([moment])
@@ -159,7 +163,8 @@ class Training:
         self.seeds = list(seeds)
         self.budget = budget
         self.clock = 0
-        self.episodes: list[Episode] = []
+        self._episodes: list[Episode] = []
+        self.lost_episodes = [0] * len(self.seeds)
         self.tick = Tick(learner, world, budget.episodes, budget.rides, schedule)
         streams = learning_streams(world, self.seeds)
         first = self.tick.first(learner.initial(self.seeds), streams.at(0))
@@ -171,6 +176,14 @@ class Training:
         self._last_tick = (
             None if budget.seconds is None else max(1, round(budget.seconds / world.dt))
         )
+
+    @property
+    def episodes(self) -> list[Episode]:
+        """The finished ones of everybody, in the order in which they ended, but for those lost to a
+        fault of the simulator (``lost_episodes`` counts them by learner)."""
+        if self.world.rule.survival is not None:
+            return self._episodes
+        return settled(self._episodes, self._episodes)
 
     @property
     def learners(self) -> LearnerState:
@@ -257,16 +270,25 @@ class Training:
         seconds = torch.tensor(ticks, dtype=torch.float64, device=final.device) * self.world.dt
         found = self.world.sim.measures(start, final, seconds)
         measures = {name: figure.tolist() for name, figure in found.items()}
+        outcome = torch.stack([moment.outcome[index] for moment, index, _ in ends])
+        success = self.world.success(final, outcome).tolist()
+        lost = self.world.lost(final).tolist()
         for place, (moment, index, trail) in enumerate(ends):
-            self.episodes.append(
+            row = moment.rows.start + index
+            if lost[place]:
+                self.lost_episodes[row] += 1
+                continue
+            self._episodes.append(
                 Episode(
-                    row=moment.rows.start + index,
+                    row=row,
                     number=int(moment.episodes[index]),
                     start=begun[place] * self.world.dt,
                     seconds=float(seconds[place]),
-                    outcome=Outcome(int(moment.outcome[index])),
+                    outcome=Outcome(int(outcome[place])),
                     measures={name: figures[place] for name, figures in measures.items()},
                     trail=trail,
+                    total_reward=float(moment.earned[index]) if self.world.has_return else math.nan,
+                    success=as_success(success[place]),
                 )
             )
 
@@ -281,8 +303,8 @@ class Training:
             seeds=self.seeds,
             active=here.active.tolist(),
             episodes=here.episodes.tolist(),
-            falls=here.falls.tolist(),
-            rides=here.rides.tolist(),
+            falls=here.failures.tolist(),
+            rides=here.successes.tolist(),
             episode_seconds=[t * self.world.dt for t in (self.clock - here.begun).tolist()],
             value=(sums.value / sums.updates).tolist(),
             gradient=(sums.gradient / sums.updates).tolist(),

@@ -44,7 +44,7 @@ def test_interrupted_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
         mine, theirs = getattr(second.learners, name), getattr(whole.learners, name)
         assert all(torch.equal(mine[k], theirs[k]) for k in theirs)
     assert torch.equal(second.worlds.world, whole.worlds.world)
-    assert second.worlds.falls.tolist() == whole.worlds.falls.tolist()
+    assert second.worlds.failures.tolist() == whole.worlds.failures.tolist()
     # Nothing is left beside the file.
     assert os.listdir(tmp_path) == ["saved.pt"]
 

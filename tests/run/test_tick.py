@@ -42,7 +42,7 @@ def test_a_turn_counts_and_begins_anew() -> None:
     draw = learning_streams(training.world, training.seeds).at(7)
     there = tick.turn(here, torch.tensor(ends), draw, 7).worlds
     assert there.episodes.tolist() == [1, 2, 1, 0]
-    assert there.falls.tolist() == [1, 1, 0, 0] and there.rides.tolist() == [0, 0, 1, 0]
+    assert there.failures.tolist() == [1, 1, 0, 0] and there.successes.tolist() == [0, 0, 1, 0]
     assert there.active.tolist() == [True, False, True, True]
     assert there.begun.tolist() == [7, 0, 7, 0]
     fresh = (there.world != here.worlds.world).any(-1)

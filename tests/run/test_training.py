@@ -126,7 +126,7 @@ def test_budgets_count_per_learner() -> None:
     # A disc as large as the start reaches: every episode succeeds within a tick.
     goal = Bicycle(goal_radius=1002.0)
     rides = run(bicycle_training([0], Budget(rides=3, seconds=100.0), sim=goal))
-    assert rides.worlds.rides.tolist() == [3] and rides.clock == 3
+    assert rides.worlds.successes.tolist() == [3] and rides.clock == 3
     with pytest.raises(ValueError, match="no budget"):
         Budget()
 
@@ -135,8 +135,8 @@ def test_a_time_out_is_a_ride_and_a_fall_is_none() -> None:
     training = run(bicycle_training([0], Budget(episodes=4), sim=Bicycle(time_limit=1.0)))
     outcomes = [e.outcome for e in training.episodes]
     assert Outcome.TIMED_OUT in outcomes
-    assert training.worlds.rides.item() == sum(e.is_ride for e in training.episodes)
-    assert training.worlds.falls.item() == outcomes.count(Outcome.FAILED)
+    assert training.worlds.successes.item() == sum(e.is_ride for e in training.episodes)
+    assert training.worlds.failures.item() == outcomes.count(Outcome.FAILED)
     assert all(e.seconds <= 1.0 + 1e-9 for e in training.episodes)
 
 
@@ -175,7 +175,7 @@ def test_snapshots_average_over_the_ticks_in_between() -> None:
 def test_the_learner_learns_to_ride() -> None:
     """Five to seven falls, then no more: 60 simulated seconds of two learners."""
     training = run(bicycle_training([0, 1], Budget(seconds=60.0)), 500)
-    assert all(count <= 15 for count in training.worlds.falls.tolist())
+    assert all(count <= 15 for count in training.worlds.failures.tolist())
     assert all(60 - float(b) * 0.01 > 25 for b in training.worlds.begun)
     sim = Bicycle(time_limit=20.0)
     policy, parameters = training.learner.policy, training.learners.policy
