@@ -241,7 +241,7 @@ class Lasting(Protocol):
 
 @runtime_checkable
 class Invertible(Protocol):
-    """A sim that offers its true inverse dynamics, for yardsticks only."""
+    """A sim that offers its true inverse dynamics, for baselines only."""
 
     def inverse_dynamics(self, state: Tensor, acceleration: Tensor) -> Tensor:
         """The action ``[*batch, m]`` that gives the components ``spec.tracked`` the second
@@ -249,13 +249,25 @@ class Invertible(Protocol):
         ...
 
 
+Controller = Callable[[Tensor], Tensor]
+
+
 @runtime_checkable
 class Measured(Protocol):
-    """A sim that has controllers of its own to measure learners against."""
+    """A sim that has controllers of its own to compare learners with."""
 
-    def yardsticks(self) -> Mapping[str, Callable[[Tensor], Tensor]]:
+    def baselines(self) -> Mapping[str, Controller]:
         """By name: full states ``[*batch, k]`` to actions ``[*batch, m]``, physical units."""
         ...
+
+
+def baselines_of(sim: Sim) -> Mapping[str, Controller]:
+    """The sim's own controllers by name, none if it has none.
+
+    A method ``yardsticks``, the name before 0.1.0, is accepted too.
+    """
+    offered = getattr(sim, "baselines", None) or getattr(sim, "yardsticks", None)
+    return {} if offered is None else offered()
 
 
 @runtime_checkable

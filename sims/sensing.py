@@ -13,18 +13,19 @@ from torch import Tensor
 
 from sims.base import (
     Actuated,
+    Controller,
     Fallible,
     Invertible,
     Jointed,
     Judged,
     Lasting,
     Losing,
-    Measured,
     Pictured,
     Quantity,
     Rewarded,
     Sim,
     Spec,
+    baselines_of,
 )
 from sims.normal import normal_quantile
 
@@ -37,7 +38,7 @@ class Sensed:
     A new episode begins with one reading of its start, which is all that there is until the first
     one comes in; these steps without news are none to learn from (``stepped``).  Angles that wrap
     stay within their period, bounded components within their bounds.  Ends, measures, pictures and
-    yardsticks are those of the sim itself.
+    baselines are those of the sim itself.
 
     A full state is that of the sim, followed by the readings under way, the oldest first: each the
     ``n`` components observed, and whether the step to it was one.  ``traceable`` if the sim is; a
@@ -194,8 +195,8 @@ def _offers(sim: Sim, memory: int) -> dict[str, Any]:
         offers["succeeded"] = partial(_of_inner, sim.succeeded, memory)
     if isinstance(sim, Losing):
         offers["lost"] = partial(_of_inner, sim.lost, memory)
-    if isinstance(sim, Measured):
-        offers["yardsticks"] = partial(_yardsticks, sim, memory)
+    if hasattr(sim, "baselines") or hasattr(sim, "yardsticks"):
+        offers["baselines"] = partial(_baselines, sim, memory)
     if isinstance(sim, Jointed):
         offers["chain"] = sim.chain
     if isinstance(sim, Pictured):
@@ -207,5 +208,7 @@ def _of_inner(method: Callable[..., Any], memory: int, state: Tensor, *others: A
     return method(state[..., : state.shape[-1] - memory], *others)
 
 
-def _yardsticks(sim: Measured, memory: int) -> Mapping[str, Callable[[Tensor], Tensor]]:
-    return {name: partial(_of_inner, control, memory) for name, control in sim.yardsticks().items()}
+def _baselines(sim: Sim, memory: int) -> Mapping[str, Controller]:
+    return {
+        name: partial(_of_inner, control, memory) for name, control in baselines_of(sim).items()
+    }

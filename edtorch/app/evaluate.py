@@ -29,7 +29,7 @@ from edtorch.run.checkpoint import write_text
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate, evaluate_yardstick
 from edtorch.run.scaled_sim import World
-from sims.base import Measured
+from sims.base import baselines_of
 
 
 def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
@@ -57,8 +57,8 @@ def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
     return table
 
 
-def _goal_table(figures: dict[str, Any], yardsticks: dict[str, Any], seeds: list[int]) -> Table:
-    """Of a family of tasks: a row per seed and per yardstick, a column per figure."""
+def _goal_table(figures: dict[str, Any], baselines: dict[str, Any], seeds: list[int]) -> Table:
+    """Of a family of tasks: a row per seed and per baseline, a column per figure."""
     table = Table(
         title="fresh episodes, no exploration", title_justify="left", box=SIMPLE, padding=(0, 1)
     )
@@ -66,7 +66,7 @@ def _goal_table(figures: dict[str, Any], yardsticks: dict[str, Any], seeds: list
         table.add_column(label, justify="right")
     for row, seed in enumerate(seeds):
         table.add_row(str(seed), *(_cell(spread["per_seed"][row]) for spread in figures.values()))
-    for name, own in yardsticks.items():
+    for name, own in baselines.items():
         table.add_row(name.replace("_", " "), *(_cell(own[key]["median"]) for key in figures))
     return table
 
@@ -75,17 +75,19 @@ def _cell(value: float | None) -> str:
     return "-" if value is None else f"{value:.4f}"
 
 
-def _yardsticks(config: DictConfig, world: World, seeds: list[int]) -> dict[str, Any]:
+def _baselines(config: DictConfig, world: World, seeds: list[int]) -> dict[str, Any]:
     """The figures of the sim's own controllers, by name, in the episodes of the first seed."""
-    if not config.yardsticks:
+    if not (config.baselines or config.yardsticks):
         return {}
-    if not isinstance(world.sim, Measured):
+    controllers = baselines_of(world.sim)
+    if not controllers:
+        key = "baselines" if config.baselines else "yardsticks"
         raise ConfigError(
-            f"yardsticks=true: expected a domain with yardsticks; {world.spec.name} has none"
+            f"{key}=true: expected a domain with baselines; {world.spec.name} has none"
         )
     return {
         name: goal_figures(evaluate_yardstick(control, world, seeds[:1], config.episodes))
-        for name, control in world.sim.yardsticks().items()
+        for name, control in controllers.items()
     }
 
 
@@ -126,7 +128,7 @@ def _evaluate(config: DictConfig) -> float:
     seeds = stored.seeds
 
     began = time.monotonic()
-    yardsticks = _yardsticks(config, world, seeds)
+    baselines = _baselines(config, world, seeds)
     episodes = evaluate(
         stored.actor,
         stored.parameters,
@@ -144,7 +146,7 @@ def _evaluate(config: DictConfig) -> float:
         "seeds": seeds,
         **evaluation_figures(episodes),
         **reached,
-        "yardsticks": yardsticks,
+        "baselines": baselines,
         "eval_s": time.monotonic() - began,
         "versions": versions(),
         "command": command_line(),
@@ -157,7 +159,7 @@ def _evaluate(config: DictConfig) -> float:
             f"run={folder}: expected a folder to write to ({error.strerror})"
         ) from error
     console = Console()
-    table = _goal_table(reached, yardsticks, seeds) if reached else _table(episodes, seeds)
+    table = _goal_table(reached, baselines, seeds) if reached else _table(episodes, seeds)
     console.print(table)
     console.print(f"written to {written}", soft_wrap=True)
     return float(result["goal_rate"]["median"])

@@ -591,14 +591,15 @@ class EvaluateConfig:
     """Everything ``edtorch-eval`` knows.
 
     run: folder of a run; policy: a file, by default the run's own; episodes: per seed; domain:
-    settings that replace the run's own; yardsticks: whether to measure the domain's own controllers
-    in the same episodes.
+    settings that replace the run's own; baselines: whether to evaluate the domain's own controllers
+    in the same episodes; yardsticks: its name before 0.1.0.
     """
 
     run: str = MISSING
     policy: str | None = None
     episodes: int = 100
     domain: dict[str, Any] = field(default_factory=dict)
+    baselines: bool = False
     yardsticks: bool = False
     threads: int = 1
     debug: bool = False

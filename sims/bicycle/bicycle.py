@@ -509,7 +509,7 @@ class Bicycle:
         age = components[self._places["age"]][0]
         return first, ((self._change_step - age) * self.dt).clamp(min=0.0), later
 
-    def yardsticks(self) -> Mapping[str, Callable[[Tensor], Tensor]]:
+    def baselines(self) -> Mapping[str, Callable[[Tensor], Tensor]]:
         """``lqr``: the regulator that knows the bicycle (``sims.bicycle.lqr``)."""
         from sims.bicycle.lqr import BicycleLqr
 

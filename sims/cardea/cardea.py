@@ -296,7 +296,7 @@ class Cardea:
         ]
         return torch.from_numpy(np.stack(torques)).reshape(acceleration.shape)
 
-    def yardsticks(self) -> dict[str, Callable[[Tensor], Tensor]]:
+    def baselines(self) -> dict[str, Callable[[Tensor], Tensor]]:
         """The controllers of ``sims.cardea.baselines``."""
         from sims.cardea.baselines import YARDSTICKS
 

@@ -83,13 +83,13 @@ def test_a_run_goes_on_from_its_checkpoint_and_is_evaluated(run: Path, command: 
     for name in ("model", "policy", "fit", "step"):
         saved, again = getattr(restored.learners, name), getattr(anew.learners, name)
         assert all(torch.equal(saved[key], again[key]) for key in again), name
-    result = command("edtorch-eval", f"run={run}", "episodes=2", "yardsticks=true")
+    result = command("edtorch-eval", f"run={run}", "episodes=2", "baselines=true")
     assert result.status == 0, result.err
     (written,) = run.glob("eval_*.json")
     figures = json.loads(written.read_text())
     assert set(figures) > FIGURES
-    assert set(figures["yardsticks"]) == {"computed_torque", "pd_gravity", "pd", "nothing"}
-    assert figures["yardsticks"]["nothing"]["crash_rate"]["median"] == 1
+    assert set(figures["baselines"]) == {"computed_torque", "pd_gravity", "pd", "nothing"}
+    assert figures["baselines"]["nothing"]["crash_rate"]["median"] == 1
 
 
 def test_keeps_the_best_policy_by_other_episodes(

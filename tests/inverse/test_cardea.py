@@ -109,8 +109,8 @@ def test_a_wish_of_the_hand_is_granted_by_the_joints() -> None:
     torch.testing.assert_close(view.state[:, 7:12], (on - back) / (2 * t), rtol=0, atol=1e-2)
 
 
-def test_computed_torque_is_a_yardstick() -> None:
-    control = CARDEA.yardsticks()["computed_torque"]
+def test_computed_torque_is_a_baseline() -> None:
+    control = CARDEA.baselines()["computed_torque"]
     (episodes,) = evaluate_yardstick(control, World(CARDEA), [0], 3)
     assert [e.outcome for e in episodes] == [Outcome.SUCCEEDED] * 3
     assert max(e.measures["joint_error_rad"] for e in episodes) < 1e-3

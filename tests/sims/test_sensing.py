@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sims.base import Fallible, Invertible, Lasting, Measured, Pictured
+from sims.base import Controller, Fallible, Invertible, Lasting, Measured, Pictured, baselines_of
 from sims.bicycle import Bicycle
 from sims.bicycle.slalom import Slalom
 from sims.linear import LinearSystem
@@ -88,9 +88,11 @@ def test_offers_what_the_sim_offers() -> None:
     assert sim.traceable and sim.lasting == tuple(range(10, 18))
     states = torch.stack(ride(sim, 3, batch=1))[:, 0]
     assert sim.frame(states).shape == (270, 480, 3)
-    control, own = sim.yardsticks()["lqr"], inner.yardsticks()["lqr"]
+    control, own = sim.baselines()["lqr"], inner.baselines()["lqr"]
     assert torch.equal(control(states[-1]), own(states[-1, : inner.width + 3]))
+    assert baselines_of(sim).keys() == {"lqr"}
     linear = Sensed(LinearSystem([[1.0]], [[1.0]]))
+    assert baselines_of(linear) == {}
     assert linear.traceable and linear.lasting == ()
     assert not isinstance(linear, Pictured) and not isinstance(linear, Measured)
 
@@ -124,3 +126,15 @@ def test_refuses_impossible_sensors(arguments: tuple[Any, ...], message: str) ->
     with pytest.raises(ValueError) as refusal:
         Sensed(Bicycle(), *arguments)
     assert message in str(refusal.value)
+
+
+def test_baselines_under_their_former_name() -> None:
+    class Former(LinearSystem):
+        def yardsticks(self) -> dict[str, Controller]:
+            return {"nothing": torch.zeros_like}
+
+    sim = Former([[1.0]], [[1.0]])
+    assert baselines_of(sim)["nothing"](torch.ones(3, 1)).tolist() == [[0], [0], [0]]
+    sensed = Sensed(sim)
+    state = sensed.initial(uniform(3, sensed.spec.reset_dim))
+    assert baselines_of(sensed)["nothing"](state).tolist() == [[0], [0], [0]]

@@ -69,10 +69,10 @@ def test_which_starts_it_saves() -> None:
     assert not bool(saved(sim, lost).any())
 
 
-def test_a_yardstick_of_each_bicycle_also_after_the_change() -> None:
+def test_a_baseline_of_each_bicycle_also_after_the_change() -> None:
     sim = Bicycle(spread=0.3, change_at=0.02, change={"v": 5.0})
     assert isinstance(sim, Measured)
-    control = sim.yardsticks()["lqr"]
+    control = sim.baselines()["lqr"]
     assert isinstance(control, BicycleLqr)
     generator = torch.Generator().manual_seed(0)
     state = sim.initial(torch.rand(3, 8, generator=generator, dtype=torch.float64))

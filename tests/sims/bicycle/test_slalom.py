@@ -107,7 +107,7 @@ def test_starts_point_along_the_course() -> None:
 @pytest.mark.oracle
 def test_the_regulator_that_knows_the_bicycle_rides_it() -> None:
     sim = Slalom(gates=2)
-    control, generator = sim.yardsticks()["lqr"], torch.Generator().manual_seed(0)
+    control, generator = sim.baselines()["lqr"], torch.Generator().manual_seed(0)
     state = sim.initial(torch.rand(4, 1, generator=generator, dtype=torch.float64))
     low, high = torch.tensor([-2.0, -0.02]).double(), torch.tensor([2.0, 0.02]).double()
     for _ in range(3400):

@@ -1,4 +1,4 @@
-"""Cardea: physics against PyBullet's own matrices, balance, endings, goals, yardsticks."""
+"""Cardea: physics against PyBullet's own matrices, balance, endings, goals, baselines."""
 
 from __future__ import annotations
 
@@ -305,7 +305,7 @@ def run(
 
 
 @pytest.mark.oracle
-def test_yardsticks() -> None:
+def test_baselines() -> None:
     """What is possible: everything, with the true dynamics; little, without gravity's."""
     calm = Cardea(torque_noise=0.0)
     exact = run(calm, YARDSTICKS["computed_torque"], 40)
