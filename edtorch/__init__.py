@@ -21,12 +21,54 @@ Rewards are maximised; costs are negative rewards.  Everything takes a leading b
 population of learners is one more dimension.
 """
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 import edtorch.renamed as _renamed
 import sims as _sims  # noqa: F401  # registers edtorch/Bicycle-v0 with Gymnasium
 from edtorch.types import Belief, LearnerState, Metrics, Trajectory, Transition
+
+if TYPE_CHECKING:
+    from edtorch.api import learn, load
+    from edtorch.app.acting import Policy
+    from edtorch.app.learned import Run
 
 _renamed.install()
 
 __version__ = "0.1.0"
 
-__all__ = ["Belief", "LearnerState", "Metrics", "Trajectory", "Transition", "__version__"]
+_LAZY = {
+    "Policy": "edtorch.app.acting",
+    "Run": "edtorch.app.learned",
+    "learn": "edtorch.api",
+    "load": "edtorch.api",
+}
+"""Names that are imported when they are first asked for: they need much of the package."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module 'edtorch' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_LAZY[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY})
+
+
+__all__ = [
+    "Belief",
+    "LearnerState",
+    "Metrics",
+    "Policy",
+    "Run",
+    "Trajectory",
+    "Transition",
+    "__version__",
+    "learn",
+    "load",
+]

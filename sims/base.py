@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from sims.kinematics import Chain
 
 
+class SimulatorFailed(RuntimeError):
+    """A simulator of somebody else's cannot go on; one line that says which one and why."""
+
+
 class Outcome(IntEnum):
     """How an episode stands."""
 

@@ -2,33 +2,57 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
 from torch import Tensor
 
-from sims.base import Outcome, Quantity, Spec
+from sims.angle_view import Angles, AngleView, angle_view, with_rates
+from sims.base import Outcome, Quantity, SimulatorFailed, Spec
+from sims.gymnasium_source import (
+    Env,
+    Factory,
+    action_box,
+    belongs_to,
+    bounds,
+    observation_box,
+    source_of,
+    stated_dt,
+    stated_limit,
+    stated_threshold,
+    taken_by,
+)
 
-_TERMINATED, _TRUNCATED, _SUCCESS, _RETURN = -4, -3, -2, -1
+logger = logging.getLogger("edtorch")
+
+_TERMINATED, _TRUNCATED, _SUCCESS, _LOST, _RETURN = -5, -4, -3, -2, -1
+_UNSTATED_LIMIT = 1000
+"""Steps of an episode where the environment states no limit."""
+_HOPELESS = 10
+"""Episodes lost at their first step, and none other before, after which the environment is
+refused."""
 
 
 class GymnasiumSim:
-    """The Gymnasium environment ``env_id``, one copy of it for each row of the batch.
+    """A Gymnasium environment, one copy of it for each row of the batch.
 
     ======== ==================================================================================
-    state    ``[*batch, n + 4]``: the observation; terminated, truncated (0 or 1); success (1 or
-             0 by ``info["is_success"]``, -1 where there is none); the return (sum of rewards) so
-             far.  Only the first n are observed
+    state    ``[*batch, k + 5]``: the environment's observation; terminated, truncated (0 or 1);
+             success (1 or 0 by ``info["is_success"]``, -1 where there is none); lost (0 or 1);
+             the return (sum of rewards) so far
+    observed ``[*batch, n]``: the first k, or the view of them in which ``angles`` are angles
     action   ``[*batch, m]``, in the environment's own units
     start    the environment's, seeded by the one uniform number of a restart
     end      terminated: FAILED (or SUCCEEDED, by ``termination``); truncated: TIMED_OUT
     success  as the environment says, else a return of at least its registered threshold, else
              ``sims.base.Spec.survival``
+    lost     the environment raised an error, or gave numbers that are not finite, or an observation
+             of another shape: the episode ends there and counts for nothing
     measures ``return``
     ======== ==================================================================================
 
@@ -36,26 +60,32 @@ class GymnasiumSim:
     returned last; ``initial`` starts everything anew.  A row that has ended stays as it is until
     it is restarted.
 
-    Arguments: ``env_id``: as for ``gymnasium.make``; ``dt``: seconds per step, to be given unless
-    the environment has a ``dt``; ``time_limit`` in s, to be given unless the environment has a
-    limit of steps; ``state_scale``, ``action_scale``: a divisor for each component (default: the
-    greatest size within the bounds where they are finite, else 1); ``state_names``,
-    ``action_names``; ``headline``: the component that figures show (default: the first);
-    ``clip_action``: whether actions are held within the box; ``termination``: what the
-    environment's termination means, "failure" or "success"; ``env_kwargs``: more arguments for
-    ``gymnasium.make``.
+    Arguments: ``env_id``: as for ``gymnasium.make``, with ``env_kwargs``; or ``env``: a factory
+    without arguments, or an environment, which is copied by its spec where it has one.  ``dt``:
+    seconds per step, to be given unless the environment states them (``dt``, ``tau``, or
+    ``control_timestep`` of dm_control); ``time_limit`` in s (default: the environment's limit of
+    steps, or 1000 where it states none; ``notes`` says so); ``state_names``, ``action_names``;
+    ``angles``: see ``sims.angle_view``; ``rates``: components by the names of their rates;
+    ``state_scale``, ``action_scale``: a divisor for each component, in order or by name (default:
+    the greatest size within the bounds where they are finite, else 1; an action without bounds
+    needs one); ``headline``: the component that figures show (default: the first); ``clip_action``:
+    whether actions are held within the box; ``termination``: what the environment's termination
+    means, "failure" or "success".
     """
 
     def __init__(
         self,
-        env_id: str,
+        env_id: str | None = None,
         *,
+        env: Env | Factory | None = None,
         dt: float | None = None,
         time_limit: float | None = None,
-        state_scale: Sequence[float] | None = None,
-        action_scale: Sequence[float] | None = None,
+        state_scale: Sequence[float] | Mapping[str, float] | None = None,
+        action_scale: Sequence[float] | Mapping[str, float] | None = None,
         state_names: Sequence[str] | None = None,
         action_names: Sequence[str] | None = None,
+        angles: Angles | None = None,
+        rates: Mapping[str, str] | None = None,
         headline: str | None = None,
         clip_action: bool = True,
         termination: Literal["failure", "success"] = "failure",
@@ -63,47 +93,50 @@ class GymnasiumSim:
     ) -> None:
         """Make one copy, to see what it is like."""
         if termination not in ("failure", "success"):
-            raise ValueError(
-                f"termination={termination!r}: expected 'failure' or 'success' ({env_id})"
-            )
-        self._id = env_id
-        self._kwargs = dict(env_kwargs or {})
+            raise ValueError(f"termination={termination!r}: expected 'failure' or 'success'")
+        self._source = source_of(env_id, env, env_kwargs or {})
         self._ended = Outcome.FAILED if termination == "failure" else Outcome.SUCCEEDED
-        try:
-            env = self._make()
-        except gymnasium.error.Error as error:
-            raise ValueError(
-                f"env_id={env_id}: expected a Gymnasium environment ({error})"
-            ) from error
-        self._envs = [env]
+        name, first = self._source.name, self._source.first
+        self._envs = [first]
         self._last: Tensor | None = None
-        observation = _box(env_id, "observation", env.observation_space)
-        self._box = _box(env_id, "action", env.action_space)
+        self._lost_at_once, self._has_lost, self._has_stepped = 0, False, False
+        self.notes: list[str] = []
+        observation = observation_box(name, first.observation_space)
+        self._box = action_box(name, first.action_space)
+        self._size = observation.shape[0]
+        dt = stated_dt(first) if dt is None else dt
         if dt is None:
-            dt = getattr(env.unwrapped, "dt", None)
-        if dt is None:
-            raise ValueError(f"dt=None: expected the seconds per step, {env_id} does not say them")
+            raise ValueError(f"dt=None: expected the seconds per step, {name} does not say them")
         if not (math.isfinite(dt) and dt > 0):
-            raise ValueError(f"dt={dt!r}: expected a finite number of seconds above 0 ({env_id})")
+            raise ValueError(f"dt={dt!r}: expected a finite number of seconds above 0 ({name})")
         if time_limit is None:
-            steps = env.spec.max_episode_steps if env.spec is not None else None
+            steps = stated_limit(first)
             if steps is None:
-                raise ValueError(f"time_limit=None: expected seconds, {env_id} has no limit")
+                steps = _UNSTATED_LIMIT
+                self.notes.append(
+                    f"{name} states no limit of steps: an episode ends after {steps} of them"
+                    f" ({steps * dt:g} s); time_limit=... sets another"
+                )
             time_limit = steps * dt
         if not time_limit >= dt:
-            raise ValueError(f"time_limit={time_limit!r}: expected at least dt, {dt} s ({env_id})")
-        state = _quantities("state", observation, state_names, state_scale)
+            raise ValueError(f"time_limit={time_limit!r}: expected at least dt, {dt} s ({name})")
+        state = _named("state", observation, state_names)
+        self._view: AngleView | None = None
+        if angles:
+            self._view, state = angle_view(state, angles)
+        state = _scaled("state", with_rates(state, rates or {}), state_scale)
+        action = _scaled("action", _named("action", self._box, action_names), action_scale)
         self._spec = Spec(
-            name=env_id,
+            name=name,
             state=state,
-            action=_quantities("action", self._box, action_names, action_scale),
+            action=action,
             dt=float(dt),
             time_limit=float(time_limit),
             disturbance_dim=0,
             reset_dim=1,
             clip_action=clip_action,
             headline=state[0].name if headline is None else headline,
-            success_return=None if env.spec is None else env.spec.reward_threshold,
+            success_return=stated_threshold(first),
             survival=False if termination == "success" else None,
         )
         if self._spec.headline not in [quantity.name for quantity in state]:
@@ -115,11 +148,32 @@ class GymnasiumSim:
         """The facts of the domain."""
         return self._spec
 
+    @property
+    def most_rows(self) -> int | None:
+        """How many copies there can be, None for any number."""
+        return 1 if self._source.more is None else None
+
+    @property
+    def action_dtype(self) -> np.dtype[Any]:
+        """The number type of the environment's actions."""
+        return self._box.dtype
+
+    def viewed(self, observation: Tensor) -> Tensor:
+        """What a learner sees ``[*batch, n]`` of the observation ``[*batch, k]``."""
+        if observation.shape[-1:] != (self._size,):
+            raise ValueError(
+                f"observation: has shape {tuple(observation.shape)}, expected {self._size} numbers"
+                f" in the last dimension, those of {self._source.name}"
+            )
+        return observation if self._view is None else self._view(observation)
+
     def initial(self, uniforms: Tensor) -> Tensor:
-        """Start states ``[*batch, n + 4]``; uniforms ``[*batch, 1]`` in [0, 1) seed the copies."""
+        """Start states ``[*batch, k + 5]``; uniforms ``[*batch, 1]`` in [0, 1) seed the copies."""
         seeds = uniforms.reshape(-1, 1)
         while len(self._envs) < len(seeds):
-            self._envs.append(self._make())
+            self._envs.append(self._source.another())
+        for env in self._envs:
+            taken_by(env, self)
         rows = torch.stack([self._reset(k, seeds[k]) for k in range(len(seeds))])
         return self._return(rows.reshape(*uniforms.shape[:-1], -1))
 
@@ -128,6 +182,9 @@ class GymnasiumSim:
         rows = self._rows(state)
         seeds = uniforms.reshape(-1, 1)
         for k in mask.reshape(-1).nonzero()[:, 0].tolist():
+            if rows[k, _LOST] and self._source.more is not None:
+                self._envs[k] = self._source.another()
+                taken_by(self._envs[k], self)
             rows[k] = self._reset(k, seeds[k])
         return self._return(rows.reshape(state.shape))
 
@@ -136,28 +193,41 @@ class GymnasiumSim:
         rows = self._rows(state)
         actions = action.detach().cpu().reshape(len(rows), -1).numpy()
         for k, row in enumerate(rows):
-            if row[_TERMINATED] or row[_TRUNCATED]:
+            if row[_TERMINATED] or row[_TRUNCATED] or row[_LOST]:
                 continue
-            observation, reward, terminated, truncated, info = self._envs[k].step(
-                actions[k].astype(self._box.dtype)
-            )
-            row[:_TERMINATED] = torch.as_tensor(np.asarray(observation))
+            try:
+                observation, reward, terminated, truncated, info = self._envs[k].step(
+                    actions[k].astype(self._box.dtype)
+                )
+                row[:_TERMINATED] = self._checked(observation)
+                row[_RETURN] += _finite_reward(reward)
+            except Exception as error:  # whatever the environment does, it loses this episode only
+                self._lose(row, error)
+                continue
+            self._has_stepped = True
             row[_TERMINATED], row[_TRUNCATED] = float(terminated), float(truncated)
             if "is_success" in info:
                 row[_SUCCESS] = float(bool(info["is_success"]))
-            row[_RETURN] += float(reward)
         return self._return(rows.reshape(state.shape))
 
     def observe(self, state: Tensor) -> Tensor:
         """The observation ``[*batch, n]``."""
-        return state[..., :_TERMINATED]
+        return self.viewed(state[..., :_TERMINATED])
 
     def outcome(self, state: Tensor) -> Tensor:
-        """``Outcome`` of each row as int64 ``[*batch]``; numbers that are not finite are FAILED."""
+        """``Outcome`` of each row as int64 ``[*batch]``; a lost one is FAILED."""
         outcome = torch.where(state[..., _TRUNCATED] != 0, int(Outcome.TIMED_OUT), 0)
         ended = torch.where(state[..., _SUCCESS] == 0, int(Outcome.FAILED), int(self._ended))
         outcome = torch.where(state[..., _TERMINATED] != 0, ended, outcome)
-        return torch.where(state.isfinite().all(-1), outcome, int(Outcome.FAILED))
+        return torch.where(self.lost(state), int(Outcome.FAILED), outcome)
+
+    def lost(self, state: Tensor) -> Tensor:
+        """Whether the episode was lost to a fault of the environment, bool ``[*batch]``."""
+        return state[..., _LOST] != 0
+
+    def stepped(self, state: Tensor) -> Tensor:
+        """Whether the step to ``state`` was one, bool ``[*batch]``: not where it was lost."""
+        return ~self.lost(state)
 
     def total_reward(self, state: Tensor) -> Tensor:
         """The sum of the environment's rewards so far, ``[*batch]``."""
@@ -176,25 +246,56 @@ class GymnasiumSim:
         for env in self._envs:
             env.close()
 
-    def _make(self) -> gymnasium.Env[Any, Any]:
-        return gymnasium.make(self._id, **self._kwargs)
+    def env_seed(self, uniform: float) -> int:
+        """The seed that a restart with this uniform number resets a copy with."""
+        return int(uniform * 2**31)
 
     def _reset(self, k: int, uniform: Tensor) -> Tensor:
-        observation, _ = self._envs[k].reset(seed=int(float(uniform) * 2**31))
-        row = torch.zeros(len(self._spec.state) + 4, dtype=uniform.dtype)
-        row[:_TERMINATED] = torch.as_tensor(np.asarray(observation))
-        row[_SUCCESS] = -1.0
+        try:
+            observation, _ = self._envs[k].reset(seed=self.env_seed(float(uniform)))
+            read = self._checked(observation)
+        except Exception as error:
+            raise SimulatorFailed(f"{self._source.name}: reset failed: {_why(error)}") from error
+        row = torch.zeros(self._size + 5, dtype=uniform.dtype)
+        row[:_TERMINATED], row[_SUCCESS] = read, -1.0
         return row
+
+    def _checked(self, observation: Any) -> Tensor:
+        read = torch.as_tensor(np.asarray(observation))
+        if tuple(read.shape) != (self._size,):
+            raise ValueError(
+                f"an observation of shape {tuple(read.shape)}, expected {(self._size,)}"
+            )
+        if not bool(read.isfinite().all()):
+            raise ValueError("an observation that is not finite")
+        return read
+
+    def _lose(self, row: Tensor, error: Exception) -> None:
+        row[_LOST] = 1.0
+        if not self._has_lost:
+            logger.warning("%s: an episode is lost: %s", self._source.name, _why(error))
+        self._has_lost = True
+        self._lost_at_once += not self._has_stepped
+        if self._lost_at_once == _HOPELESS:
+            raise SimulatorFailed(
+                f"{self._source.name}: none of its first {_HOPELESS} steps succeeded: {_why(error)}"
+            ) from error
 
     def _rows(self, state: Tensor) -> Tensor:
         last = self._last
+        name = self._source.name
         if last is None:
-            raise ValueError(f"state: {self._id} has not been started; expected initial first")
+            raise ValueError(f"state: {name} has not been started; expected initial first")
+        if not all(belongs_to(env, self) for env in self._envs):
+            raise SimulatorFailed(
+                f"{name}: the one environment that was given has begun other episodes meanwhile; to"
+                " evaluate during learning give a factory, a function that returns a new one"
+            )
         if state is not last and not (
             state.shape == last.shape and torch.allclose(state, last, 0.0, 0.0, equal_nan=True)
         ):
             raise ValueError(
-                f"state: not the one that {self._id} returned last; expected that one, since the"
+                f"state: not the one that {name} returned last; expected that one, since the"
                 " environment has a memory of its own"
             )
         return state.reshape(-1, state.shape[-1]).clone()
@@ -205,35 +306,55 @@ class GymnasiumSim:
         return state
 
 
-def _box(env_id: str, which: str, space: gymnasium.Space[Any]) -> spaces.Box:
-    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
-        raise ValueError(
-            f"env_id={env_id}: expected a one-dimensional Box as {which} space, not {space}"
-        )
-    return space
+def _why(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
-def _quantities(
-    which: str,
-    box: spaces.Box,
-    names: Sequence[str] | None,
-    scales: Sequence[float] | None,
-) -> tuple[Quantity, ...]:
+def _finite_reward(reward: Any) -> float:
+    value = float(reward)
+    if not math.isfinite(value):
+        raise ValueError(f"a reward of {value}")
+    return value
+
+
+def _named(which: str, box: spaces.Box, names: Sequence[str] | None) -> tuple[Quantity, ...]:
     (size,) = box.shape
-    if names is None:
-        names = [f"{which}_{k}" for k in range(size)]
-    if scales is None:
-        scales = [
-            float(max(abs(low), abs(high))) if np.isfinite([low, high]).all() else 1.0
-            for low, high in zip(box.low.astype(float), box.high.astype(float), strict=True)
-        ]
-    for argument, given in ((f"{which}_names", names), (f"{which}_scale", scales)):
-        if len(given) != size:
-            raise ValueError(f"{argument}={list(given)}: expected {size} of them")
-    for scale in scales:
-        if not (math.isfinite(scale) and scale > 0):
-            raise ValueError(f"{which}_scale={list(scales)}: expected finite numbers above 0")
+    names = [f"{which}_{k}" for k in range(size)] if names is None else list(names)
+    if len(names) != size or len(set(names)) < size:
+        raise ValueError(f"{which}_names={names}: expected {size} different ones")
     return tuple(
-        Quantity(name, "1", float(scale), float(low), float(high))
-        for name, scale, low, high in zip(names, scales, box.low, box.high, strict=True)
+        Quantity(name, "1", low=low, high=high)
+        for name, (low, high) in zip(names, bounds(box), strict=True)
     )
+
+
+def _scaled(
+    which: str,
+    quantities: tuple[Quantity, ...],
+    scales: Sequence[float] | Mapping[str, float] | None,
+) -> tuple[Quantity, ...]:
+    """``quantities`` with their scales, given in order or by name, else from the bounds."""
+    names = [q.name for q in quantities]
+    given = {} if scales is None else scales
+    if not isinstance(given, Mapping):
+        if len(given) != len(names):
+            raise ValueError(f"{which}_scale={list(given)}: expected {len(names)} of them")
+        given = dict(zip(names, given, strict=True))
+    for name, scale in given.items():
+        if name not in names:
+            raise ValueError(f"{which}_scale.{name}={scale}: expected one of {', '.join(names)}")
+        if not (math.isfinite(scale) and scale > 0):
+            raise ValueError(f"{which}_scale.{name}={scale}: expected a finite number above 0")
+    scaled = []
+    for q in quantities:
+        size = max(abs(q.low), abs(q.high))
+        if q.name not in given and which == "action" and not math.isfinite(size):
+            raise ValueError(
+                f"action_scale=None: expected a scale for {q.name}, which has no bounds: a typical"
+                " size of this action"
+            )
+        scale = given.get(q.name, size if math.isfinite(size) and size > 0 else 1.0)
+        scaled.append(
+            Quantity(q.name, q.unit, float(scale), q.low, q.high, q.period, q.rate_of, q.limit)
+        )
+    return tuple(scaled)

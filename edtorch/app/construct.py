@@ -9,6 +9,7 @@ from hydra.utils import get_class, get_method, instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from edtorch.app.errors import ConfigError, under, unknown_key
+from edtorch.app.given import Given
 from edtorch.renamed import current_target
 
 _GATHERING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -37,8 +38,12 @@ def target_class(group: str, config: Any) -> Any:
         ) from error
 
 
-def _argument(key: str, value: Any) -> Any:
+def argument(key: str, value: Any) -> Any:
     """A constructor's argument: nested targets become objects, other nodes plain containers."""
+    if isinstance(value, Given):
+        return value.value
+    if isinstance(value, DictConfig) and "given" in value:
+        raise ConfigError(f"{key}: was an object, {value.given}; expected it to be given again")
     if isinstance(value, DictConfig) and value.get("_partial_"):
         # The function itself: Hydra's own partial would vet its target again at every call.
         known_keys(key, value, {"_target_", "_partial_"})
@@ -75,7 +80,7 @@ def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
         raise ConfigError(f"{group}._target_={config._target_}: {error}") from error
     if not any(p.kind is _GATHERING[1] for p in accepted.values()):
         known_keys(group, config, (set(accepted) - set(more)) | {"_target_"})
-    arguments = {str(k): _argument(f"{group}.{k}", v) for k, v in config.items() if k != "_target_"}
+    arguments = {str(k): argument(f"{group}.{k}", v) for k, v in config.items() if k != "_target_"}
     arguments |= {k: v for k, v in more.items() if k in accepted}
     for name, parameter in accepted.items():
         optional = parameter.kind in _GATHERING or parameter.default is not inspect.Parameter.empty

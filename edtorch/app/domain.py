@@ -6,13 +6,16 @@ from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from edtorch.app.construct import construct
+from edtorch.app.construct import argument, construct
 from edtorch.app.errors import ConfigError, unknown_key
+from edtorch.app.given import Given
 from sims.base import Sim
 
 
 def build_sim(config: Any) -> Sim:
     """The domain."""
+    if isinstance(config, DictConfig) and "given" in config:
+        return argument("domain", config.given if isinstance(config.given, Given) else config)
     return construct("domain", config, "initial", "restart", "step", "observe", "outcome")
 
 

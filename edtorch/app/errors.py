@@ -18,6 +18,7 @@ from edtorch.app.folders import FootprintCallback
 from edtorch.app.schemas import SCALARS
 from edtorch.app.signals import Interrupted
 from edtorch.run.checkpoint import FileProblem
+from sims.base import SimulatorFailed
 
 
 class ConfigError(Exception):
@@ -35,7 +36,15 @@ class Refused(BaseException):
     """
 
 
-EXPECTED = (ConfigError, NotARun, FileProblem, HydraException, OmegaConfBaseException, OSError)
+EXPECTED = (
+    ConfigError,
+    NotARun,
+    FileProblem,
+    SimulatorFailed,
+    HydraException,
+    OmegaConfBaseException,
+    OSError,
+)
 """What a user can cause; anything else is a defect of ours and keeps its traceback."""
 
 

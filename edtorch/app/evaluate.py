@@ -17,11 +17,8 @@ from rich.table import Table
 
 from edtorch.app import schemas
 from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
-from edtorch.app.domain import build_sim, changed_domain
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
-from edtorch.app.policies import acting_dtype, stored_policies
-from edtorch.app.random_search import is_rival, is_search
-from edtorch.app.reward import build_reward
+from edtorch.app.policies import frozen_world, stored_policies
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
 from edtorch.app.signals import Stop
 from edtorch.report.statistics import evaluation_figures, goal_figures
@@ -112,18 +109,7 @@ def _evaluate(config: DictConfig) -> float:
             if config.policy is None
             else ConfigError(f"policy={path}: no such file")
         )
-    sim = build_sim(changed_domain(run_config.domain, config.domain, "domain"))
-    dtype = acting_dtype(run_config, path)
-    # Only a search among random policies knows no reward.
-    searched = is_rival(run_config) and is_search(run_config)
-    reward = None if searched else build_reward(run_config.reward, sim, dtype)
-    world = World(
-        sim,
-        dtype,
-        unwrap=run_config.observation.unwrap,
-        reward=reward,
-        success_return=run_config.eval.success_return,
-    )
+    world = frozen_world(run_config, path, config.domain)
     stored = stored_policies(run_config, path, world)
     seeds = stored.seeds
 

@@ -124,6 +124,11 @@ class Evaluations:
         self.cpu_s += time.process_time() - cpu
         return self.done[-1]
 
+    def leave_out(self, training: Training) -> None:
+        """Close a run that was interrupted, without episodes."""
+        if not self.done:
+            self.done.append(Evaluation(training.seconds / 60, [[] for _ in training.seeds]))
+
     def _try(self, training: Training) -> tuple[dict[str, Any], list[str]]:
         """For the milestones alone: figures of the last trials, and how many have been where."""
         assert self.trials is not None

@@ -66,6 +66,8 @@ class Job:
             self.recorder,
         )
         self.evaluations = Evaluations(setup, config)
+        for note in getattr(setup.world.sim, "notes", ()):
+            logger.info("%s", note)
         budget = setup.budget.in_words(setup.world.spec.words.successes)
         logger.info("%s; at most %s each; %s; %s", self.title, budget, setup.path, self._precision)
 

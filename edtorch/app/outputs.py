@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import OmegaConf
 
 from edtorch.app.job import Job
 from edtorch.app.pictures import draw, draw_reaching
@@ -18,12 +17,15 @@ from edtorch.app.rundir import (
     POLICY,
     SUMMARY,
     TRANSITIONS,
+    RunFolder,
     command_line,
     json_text,
+    settings_text,
     versions,
 )
 from edtorch.app.summary import Timing, flat_settings, medians
 from edtorch.run.checkpoint import save_policy, save_training, write_text
+from edtorch.run.episodes import Episode, Snapshot
 from edtorch.run.log import CsvSink, Sink, TensorBoardSink
 from edtorch.run.training import Training
 from edtorch.run.transitions_file import gathered, save_transitions
@@ -49,7 +51,7 @@ def open_sinks(job: Job, folder: Path) -> tuple[list[Sink], TensorBoardSink | No
     sinks: list[Sink] = [CsvSink(folder, _measures(job.training))]
     board = None
     if job.config.log.tensorboard:
-        board = TensorBoardSink(folder, OmegaConf.to_yaml(job.config, resolve=True))
+        board = TensorBoardSink(folder, settings_text(job.config))
         sinks.append(board)
     return sinks, board
 
@@ -86,3 +88,43 @@ def save_results(job: Job, folder: Path, board: TensorBoardSink | None) -> dict[
         board.hparams(flat_settings(job.config), medians(summary))
     write_text(folder / SUMMARY, json_text(summary))
     return summary
+
+
+class Memory:
+    """Keeps the progress of a run, to write it later."""
+
+    def __init__(self) -> None:
+        self._kept: list[tuple[Snapshot, list[Episode]]] = []
+
+    def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
+        """See ``Sink``."""
+        self._kept.append((snapshot, list(episodes)))
+
+    def close(self) -> None:
+        """See ``Sink``."""
+
+    def replay(self, sinks: Sequence[Sink]) -> None:
+        """Write all of it to others."""
+        for snapshot, episodes in self._kept:
+            for sink in sinks:
+                sink.write(snapshot, episodes)
+
+
+def write_run(job: Job, memory: Memory, path: Path, *, interrupted: bool) -> None:
+    """Write the complete folder of a run that is over, as ``edtorch-train`` leaves it."""
+    path.mkdir(parents=True, exist_ok=True)
+    folder = RunFolder(path, "folder")
+    folder.begin(job.config, job.setup.seeds)
+    sinks, board = open_sinks(job, path)
+    try:
+        memory.replay(sinks)
+        save_learned(job, path, ended=True)
+        if not interrupted:
+            save_results(job, path, board)
+    finally:
+        for sink in sinks:
+            sink.close()
+    if interrupted:
+        folder.set_status("interrupted", "stopped by a signal; saved as of then")
+    else:
+        folder.set_status("done")

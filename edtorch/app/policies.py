@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from omegaconf import DictConfig
 
+from edtorch.app.domain import build_sim, changed_domain
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.policy import build_actor, build_frozen_observer, policy_card
 from edtorch.app.random_search import is_rival, is_search
+from edtorch.app.reward import build_reward
 from edtorch.app.rivals import build_rival, rival_card, rival_dtype
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
@@ -37,6 +41,22 @@ def acting_dtype(config: DictConfig, path: Path) -> torch.dtype:
         # Networks have a type of their own.
         return rival_dtype(config.compute)
     return policy_dtype(path)
+
+
+def frozen_world(config: DictConfig, path: Path, changes: Mapping[str, Any] | None = None) -> World:
+    """A world for the policies in the file ``path`` of a run with this configuration; changes: of
+    its domain.  Raises ConfigError, and FileProblem for the file."""
+    sim = build_sim(changed_domain(config.domain, changes or {}, "domain"))
+    dtype = acting_dtype(config, path)
+    # Only a search among random policies knows no reward.
+    searched = is_rival(config) and is_search(config)
+    return World(
+        sim,
+        dtype,
+        unwrap=config.observation.unwrap,
+        reward=None if searched else build_reward(config.reward, sim, dtype),
+        success_return=config.eval.success_return,
+    )
 
 
 def stored_policies(config: DictConfig, path: Path, world: World) -> Policies:

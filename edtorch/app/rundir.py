@@ -20,6 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from edtorch.app.errors import ConfigError, no_such_folder
+from edtorch.app.given import described
 from edtorch.app.schemas import TrainConfig
 from edtorch.run.checkpoint import FileProblem, write_text
 
@@ -67,6 +68,11 @@ def json_text(content: Any) -> str:
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
+def settings_text(config: DictConfig) -> str:
+    """The text of ``config.yaml``."""
+    return OmegaConf.to_yaml(described(OmegaConf.to_container(config, resolve=True)))
+
+
 class RunFolder:
     """The folder of one training run, from the moment its configuration is known to be good.
 
@@ -97,7 +103,7 @@ class RunFolder:
         }
         files = (self.path / ABOUT, self.path / CONFIG)
         try:
-            write_text(self.path / CONFIG, OmegaConf.to_yaml(config, resolve=True))
+            write_text(self.path / CONFIG, settings_text(config))
             write_text(self.path / ABOUT, json_text(about))
             self.set_status("running")
         except OSError as error:

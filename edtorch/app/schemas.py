@@ -145,13 +145,16 @@ class GymnasiumConfig:
     """Any Gymnasium environment with box spaces; see ``sims.from_gymnasium.GymnasiumSim``."""
 
     _target_: str = "sims.from_gymnasium.GymnasiumSim"
-    env_id: str = MISSING
+    env_id: str | None = None
+    env: Any = None
     dt: float | None = None
     time_limit: float | None = None
-    state_scale: list[float] | None = None
-    action_scale: list[float] | None = None
+    state_scale: Any = None  # numbers in order, or by name
+    action_scale: Any = None
     state_names: list[str] | None = None
     action_names: list[str] | None = None
+    angles: Any = None
+    rates: dict[str, str] | None = None
     headline: str | None = None
     clip_action: bool = True
     termination: str = "failure"

@@ -37,8 +37,11 @@ class Stop:
         raise KeyboardInterrupt
 
     @contextmanager
-    def listening(self) -> Iterator[None]:
-        """Handle the signals in this block (in a process's main thread, which alone gets any)."""
+    def listening(self, *, ending: bool = True) -> Iterator[None]:
+        """Handle the signals in this block (in a process's main thread, which alone gets any).
+
+        ending: whether a process that was asked to stop ends after this block.
+        """
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -47,8 +50,8 @@ class Stop:
             yield
         finally:
             for number, handler in before.items():
-                # A process that has been asked to go is going: nothing may come in its way.
-                signal.signal(number, signal.SIG_IGN if self.asked else handler)
+                # Nothing may interrupt the end of a process that was asked to stop.
+                signal.signal(number, signal.SIG_IGN if self.asked and ending else handler)
 
     @contextmanager
     def between_ticks(self) -> Iterator[None]:

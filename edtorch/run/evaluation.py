@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Protocol
 
 import torch
@@ -37,20 +38,43 @@ def evaluate(
     watch: Watch | None = None,
     observer: Observer | None = None,
     among: Sequence[Episode] = (),
+    purpose: Purpose = Purpose.EVALUATION,
 ) -> list[list[Episode]]:
     """Run ``episodes`` fresh episodes of each policy, without exploration and without learning.
 
     parameters: ``[S, ...]``, one policy per seed.  Returns the episodes of each policy, in order;
     episode e of a seed is the same whatever else is evaluated beside it.  watch: see ``Watch``;
     observer: what the policies estimate the state with, None if they take what they observe for it;
-    among: the other episodes of the run, see ``edtorch.run.success.settled``.  Lost episodes are
-    left out.
+    among: the other episodes of the run, see ``edtorch.run.success.settled``; purpose: of the
+    random numbers.  Lost episodes are left out.
     """
-    expanded = {k: p.repeat_interleave(episodes, dim=0) for k, p in parameters.items()}
-    rider = _Memoryless(lambda state, observation: policy.action(expanded, observation))
-    if observer is not None:
-        rider = _Observing(policy, expanded, observer)
-    return _run(rider, world, seeds, episodes, watch, among)
+    most = getattr(world.sim, "most_rows", None)
+    at_once = episodes if most is None else max(1, most // len(seeds))
+    finished: list[list[Episode]] = [[] for _ in seeds]
+    for first in range(0, episodes, at_once):
+        numbers = range(first, min(first + at_once, episodes))
+        expanded = {k: p.repeat_interleave(len(numbers), dim=0) for k, p in parameters.items()}
+        rider = _Memoryless(partial(_upon_observation, policy, expanded))
+        if observer is not None:
+            rider = _Observing(policy, expanded, observer)
+        for own, more in zip(
+            finished, _run(rider, world, seeds, numbers, watch, purpose), strict=True
+        ):
+            own += more
+    return _settled(finished, among)
+
+
+def _upon_observation(
+    policy: Actor, parameters: Parameters, state: Tensor, observation: Tensor
+) -> Tensor:
+    return policy.action(parameters, observation)
+
+
+def _settled(
+    finished: Sequence[Sequence[Episode]], among: Sequence[Episode]
+) -> list[list[Episode]]:
+    everything = [*among, *(e for own in finished for e in own)]
+    return [settled(own, everything) for own in finished]
 
 
 def evaluate_yardstick(
@@ -59,7 +83,7 @@ def evaluate_yardstick(
     """The same episodes with a controller that sees all: full states ``[N, k]`` to actions
     ``[N, m]``, physical units (``sims.base.Measured``)."""
     rider = _Memoryless(lambda state, observation: world.scaled(control(state)))
-    return _run(rider, world, seeds, episodes, None, ())
+    return _settled(_run(rider, world, seeds, range(episodes), None, Purpose.EVALUATION), ())
 
 
 class _Rider(Protocol):
@@ -120,11 +144,13 @@ def _run(
     rider: _Rider,
     world: World,
     seeds: Sequence[int],
-    episodes: int,
+    numbers: range,
     watch: Watch | None,
-    among: Sequence[Episode],
+    purpose: Purpose,
 ) -> list[list[Episode]]:
-    keys = [stream_key(s, Purpose.EVALUATION, e) for s in seeds for e in range(episodes)]
+    """The episodes ``numbers`` of each seed; whether they are a success may be open."""
+    episodes = len(numbers)
+    keys = [stream_key(s, purpose, e) for s in seeds for e in numbers]
     streams = Streams(keys, world.uniforms, 0, world.dtype, world.device)
     finished: list[list[Episode]] = [[] for _ in seeds]
     with torch.inference_mode():
@@ -156,7 +182,7 @@ def _run(
                     finished[row].append(
                         Episode(
                             row=row,
-                            number=number,
+                            number=numbers[number],
                             start=0.0,
                             seconds=float(seconds[index]),
                             outcome=Outcome(int(outcome[index])),
@@ -168,5 +194,4 @@ def _run(
                 active = active & ~ended
     for row in finished:
         row.sort(key=lambda e: e.number)
-    everything = [*among, *(e for own in finished for e in own)]
-    return [settled(own, everything) for own in finished]
+    return finished

@@ -27,6 +27,7 @@ class Purpose(IntEnum):
 
     LEARNING = 0
     EVALUATION = 1
+    JUDGING = 2
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,11 @@ class World:
     def observe(self, state: Tensor, before: Tensor | None = None) -> Tensor:
         """Scaled observation ``[B, n]``; before ``[B, n]``: the one that angles are counted on
         from, None at the start of an episode."""
-        wrapped = (self.sim.observe(state) / self._state_scale).to(self.dtype)
+        return self.counted(self.sim.observe(state), before)
+
+    def counted(self, observed: Tensor, before: Tensor | None = None) -> Tensor:
+        """``observe`` of what the sim lets a learner see, ``[B, n]`` in physical units."""
+        wrapped = (observed / self._state_scale).to(self.dtype)
         if before is None or self._farthest is None:
             return wrapped
         turns = torch.round((before - wrapped) * self._turns)
@@ -112,9 +116,12 @@ class World:
 
     def step(self, state: Tensor, action: Tensor, uniform: Tensor) -> Tensor:
         """The sim's state one tick later; action ``[B, m]`` scaled, from ``clip``."""
-        physical = (action * self._action_scale).to(torch.float64)
         disturbance = uniform[..., : self.spec.disturbance_dim].to(torch.float64)
-        return self.sim.step(state, physical, disturbance)
+        return self.sim.step(state, self.physical(action), disturbance)
+
+    def physical(self, action: Tensor) -> Tensor:
+        """A scaled action ``[B, m]`` in physical units, float64."""
+        return (action * self._action_scale).to(torch.float64)
 
     def scaled(self, action: Tensor) -> Tensor:
         """An action in physical units ``[B, m]``, scaled."""

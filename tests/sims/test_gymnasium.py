@@ -181,17 +181,18 @@ def test_only_the_state_returned_last_goes_on() -> None:
         (
             "CartPole-v1",
             {"dt": 0.02},
-            "env_id=CartPole-v1: expected a one-dimensional Box as action",
+            "env_id=CartPole-v1: action space Discrete(2): discrete actions are not supported",
         ),
         ("NoSuchThing-v3", {"dt": 0.02}, "env_id=NoSuchThing-v3: expected a Gymnasium"),
         ("MountainCarContinuous-v0", {}, "dt=None: expected"),
         ("MountainCarContinuous-v0", {"dt": -1.0}, "dt=-1.0: expected"),
         ("Pendulum-v1", {"time_limit": 0.0}, "time_limit=0.0: expected"),
         ("Pendulum-v1", {"state_scale": [1.0]}, "state_scale=[1.0]: expected 3"),
-        ("Pendulum-v1", {"action_scale": [0.0]}, "action_scale=[0.0]: expected finite"),
+        ("Pendulum-v1", {"action_scale": [0.0]}, "action_scale.action_0=0.0: expected a finite"),
         ("Pendulum-v1", {"headline": "angle"}, "headline='angle': expected one of state_0"),
         ("Pendulum-v1", {"termination": "end"}, "termination='end': expected"),
-        ("edtorch/Bicycle-v0", {"dt": 0.01}, "time_limit=None: expected"),
+        ("Pendulum-v1", {"angles": ["theta"]}, "angles.theta: 'theta' is not one of state_0"),
+        ("Pendulum-v1", {"rates": {"w": "state_0"}}, "rates.w=state_0: 'w' is not one of state_0"),
     ],
 )
 def test_refuses_what_is_no_sim(name: str, arguments: dict[str, Any], message: str) -> None:

@@ -1,0 +1,320 @@
+"""The Python front door: learn a policy for an environment, and load what a run has saved.
+
+``learn`` composes the configuration that ``edtorch-train`` would and runs the same job, so that the
+numbers are the same, digit for digit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig
+from rich.console import Console
+
+from edtorch.app import schemas
+from edtorch.app.arguments import (
+    World,
+    budget_overrides,
+    check_reward,
+    domain_of,
+    in_arguments,
+    reward_of,
+)
+from edtorch.app.build import build
+from edtorch.app.domain import build_sim
+from edtorch.app.errors import EXPECTED, ConfigError, one_line
+from edtorch.app.given import Given, with_objects
+from edtorch.app.job import Job
+from edtorch.app.learned import Run, copied, read_records, read_summary
+from edtorch.app.outputs import Memory, write_run
+from edtorch.app.policies import frozen_world, stored_policies
+from edtorch.app.rundir import POLICY, SUMMARY, load_config
+from edtorch.app.signals import Stop
+from edtorch.run.log import ConsoleSink, Sink, StderrHandler
+from sims.base import Sim
+
+logger = logging.getLogger("edtorch")
+
+CONF = Path(__file__).resolve().parents[1] / "conf"
+"""Found beside the package: a user's own folder ``conf`` may come first on the path."""
+
+Env = str | gymnasium.Env[Any, Any] | Callable[[], gymnasium.Env[Any, Any]] | Sim
+Reward = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+
+
+def learn(
+    env: Env | None = None,
+    *,
+    preset: str = "regulation",
+    target: Mapping[str, float] | None = None,
+    weights: Mapping[str, float] | None = None,
+    reward: Reward | None = None,
+    seconds: float | None = None,
+    episodes: int | None = None,
+    seeds: int = 1,
+    seed: int = 0,
+    dt: float | None = None,
+    names: Sequence[str] | None = None,
+    action_names: Sequence[str] | None = None,
+    angles: Any = None,
+    rates: Mapping[str, str] | None = None,
+    overrides: Sequence[str] = (),
+    progress: bool = True,
+    save: str | Path | None = None,
+    time_limit: float | None = None,
+    scale: Mapping[str, float] | None = None,
+) -> Run:
+    """Let ``seeds`` learners, with the seeds ``seed``, ``seed + 1``, ..., learn to control ``env``.
+
+    Arguments:
+
+    - ``env``: the id of a Gymnasium environment (also ``"module:Id"``), a factory of environments
+      without arguments, an environment, or a ``sims.base.Sim``.  None where the preset names a
+      domain.
+    - ``preset``: an experiment by name (``conf/experiment``); ``overrides``: further settings as on
+      the command line, ``"unroll.horizon=20"``.
+    - ``target``: wanted values by component, in physical units; other components have weight 0,
+      but for rates, which are damped with ``0.01 / scale**2``.  Without a target all components are
+      wanted at zero.  ``weights``: of squared deviations by component, and of squared actions.
+    - ``reward``: instead of both, a function or module of torch tensors in physical units: states
+      ``[*batch, n]`` and actions ``[*batch, m]`` to ``[*batch]``.
+    - ``seconds``, ``episodes``: the budget of each learner, simulated; the preset's if neither is
+      given.
+    - ``dt``: seconds per step, where the environment does not state them; ``time_limit``: of an
+      episode, s; ``names``, ``action_names``: of the components; ``scale``: typical sizes by name.
+    - ``angles``: names of components in radians, or by name ``"deg"`` or the names of a pair
+      (cosine, sine), which becomes one angle; ``rates``: by name of a rate the component that it is
+      the rate of.
+    - ``progress``: whether to print on the way; ``save``: a folder for ``Run.save``.
+
+    Ctrl-C ends learning after the tick; the run then holds what there is.  Raises ValueError with
+    one line for whatever is wrong with the arguments.
+    """
+    world = World(dt, time_limit, names, action_names, angles, rates, scale)
+    stop, began = Stop(), time.monotonic()
+    console = Console(quiet=not progress)
+    with _refusing():
+        config = _composed(
+            [
+                f"experiment={preset}",
+                f"seed={seed}",
+                f"seeds={seeds}",
+                f"log.progress={str(progress).lower()}",
+                *budget_overrides(seconds, episodes),
+                *overrides,
+            ]
+        )
+        config = _with_world(config, env, world, target)
+        config = _with_reward(config, env, target, weights, reward)
+        _check_copies(config, seeds)
+        setup = build(config)
+        spec, chosen = setup.world.spec, seconds is not None or episodes is not None
+        budget = setup.budget.in_words(spec.words.successes)
+        console.print(
+            f"{spec.name}: preset {preset}, {len(setup.seeds)} learners, at most {budget} each"
+            f"{'' if chosen else ' (the budget of the preset)'}",
+            soft_wrap=True,
+            highlight=False,
+        )
+        with _threads(config.compute.threads), stop.listening(ending=False), _messages(progress):
+            job = Job(setup, config, stop, console)
+            job.timing.startup_s = time.monotonic() - began
+            memory = Memory()
+            interrupted = _run(job, memory, console)
+        run = Run(
+            seeds=setup.seeds,
+            actor=setup.learner.policy,
+            parameters=job.policies,
+            observer=setup.learner.observer,
+            world=setup.calm,
+            records=job.training.episodes,
+            summary=job.summary(),
+            write=lambda folder: write_run(job, memory, folder, interrupted=interrupted),
+            interrupted=interrupted,
+        )
+    if save is not None:
+        run.save(save)
+    return run
+
+
+def load(
+    folder: str | Path,
+    *,
+    env: Env | None = None,
+    reward: Reward | None = None,
+    trust: bool | Sequence[str] = False,
+) -> Run:
+    """The run in a folder that ``Run.save`` or ``edtorch-train`` has written.
+
+    Only numbers, text and settings are read, nothing is unpickled.  ``env`` and ``reward`` replace
+    those of the run; they must be given where the run was given objects that have no importable
+    name (lambdas, classes of a script).  ``trust``: names of packages other than edtorch's that
+    the settings may import code from, True for any.  Raises ValueError with one line.
+    """
+    path = Path(folder)
+    with _refusing():
+        config = load_config(path)
+        if env is not None:
+            config = _replaced_env(config, env)
+        if reward is not None:
+            config = with_objects(config, {"reward": _reward_node(reward)})
+        _check_trust(config, trust)
+        world = frozen_world(config, path / POLICY)
+        stored = stored_policies(config, path / POLICY, world)
+        summary = read_summary(path / SUMMARY)
+        return Run(
+            seeds=stored.seeds,
+            actor=stored.actor,
+            parameters=stored.parameters,
+            observer=stored.observer,
+            world=lambda: frozen_world(config, path / POLICY),
+            records=read_records(path / "episodes.csv", stored.seeds),
+            summary=summary,
+            write=copied(path),
+            interrupted=not summary,
+        )
+
+
+def _composed(overrides: Sequence[str]) -> DictConfig:
+    schemas.register()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        composed = compose("train", list(overrides))
+    return composed
+
+
+@contextlib.contextmanager
+def _refusing() -> Iterator[None]:
+    """What a caller can cause leaves as a ValueError of one line, in words of the arguments."""
+    try:
+        yield
+    except EXPECTED as error:
+        raise ValueError(in_arguments(one_line(error))) from None
+
+
+@contextlib.contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """Meanwhile torch uses so many threads, as ``edtorch-train`` does: digits depend on it."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextlib.contextmanager
+def _messages(progress: bool) -> Iterator[None]:
+    """Messages go to stderr, without progress only warnings."""
+    handler, before = StderrHandler(), (logger.level, logger.propagate)
+    handler.setLevel(logging.INFO if progress else logging.WARNING)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before[0])
+        logger.propagate = before[1]
+
+
+def _run(job: Job, memory: Memory, console: Console) -> bool:
+    """Learn and evaluate; returns whether that was interrupted."""
+    sinks: list[Sink] = [memory]
+    if job.config.log.progress:
+        sinks.append(ConsoleSink(console))
+    try:
+        job.learn(sinks, lambda job, ended: None)
+        job.evaluate()
+    except KeyboardInterrupt:
+        job.evaluations.leave_out(job.training)
+        return True
+    finally:
+        for sink in sinks:
+            sink.close()
+    return False
+
+
+def _with_world(
+    config: DictConfig, env: Env | None, world: World, target: Mapping[str, float] | None
+) -> DictConfig:
+    if env is not None:
+        return with_objects(config, {"domain": domain_of(env, world, target or {})})
+    told = world.given()
+    for name in set(told) - {"dt", "time_limit"}:
+        raise ConfigError(f"{name}={told[name]}: expected none without env")
+    return with_objects(config, {"domain": {**config.domain, **told}}) if told else config
+
+
+def _with_reward(
+    config: DictConfig,
+    env: Env | None,
+    target: Mapping[str, float] | None,
+    weights: Mapping[str, float] | None,
+    reward: Reward | None,
+) -> DictConfig:
+    if reward is not None:
+        for name, value in (("target", target), ("weights", weights)):
+            if value is not None:
+                raise ConfigError(f"{name}={value}: expected none with a reward of your own")
+        check_reward(reward, build_sim(config.domain).spec)
+        return with_objects(config, {"reward": _reward_node(reward)})
+    if env is None and target is None and weights is None:
+        return config
+    node = reward_of(build_sim(config.domain), target, weights)
+    return with_objects(config, {"reward": {**config.reward, **node}})
+
+
+def _reward_node(reward: Reward) -> dict[str, Any]:
+    return {"_target_": "edtorch.rewards.Physical", "function": Given(reward)}
+
+
+def _check_copies(config: DictConfig, seeds: int) -> None:
+    """Refuse several seeds, or evaluation on the way, for the only copy of an environment."""
+    if getattr(build_sim(config.domain), "most_rows", None) is None:
+        return
+    wanted = f"seeds={seeds}" if seeds > 1 else f"eval.minutes={list(config.eval.minutes)}"
+    if seeds > 1 or config.eval.minutes:
+        raise ConfigError(
+            f"{wanted}: needs copies of the environment, which has no spec to be rebuilt from; give"
+            " a factory, a function without arguments that returns a new environment"
+        )
+
+
+def _replaced_env(config: DictConfig, env: Env) -> DictConfig:
+    node = domain_of(env, World(), {})
+    if "given" in node or "given" in config.domain:
+        return with_objects(config, {"domain": node})
+    kept = {k: v for k, v in config.domain.items() if k not in ("env", "env_id", "_target_")}
+    return with_objects(config, {"domain": {**node, **kept}})
+
+
+_OURS = ("edtorch", "sims")
+
+
+def _check_trust(node: Any, trust: bool | Sequence[str], key: str = "") -> None:
+    """Refuse settings that would import code of packages that are neither ours nor trusted."""
+    if trust is True:
+        return
+    trusted = {*_OURS, *(trust or ())}
+    for name, value in node.items() if isinstance(node, Mapping | DictConfig) else ():
+        full = f"{key}.{name}" if key else str(name)
+        if isinstance(value, Mapping | DictConfig):
+            _check_trust(value, trust, full)
+        elif isinstance(value, str):
+            imported = value.split(".")[0] if name == "_target_" else ""
+            if name == "env_id" and ":" in value:
+                imported = value.split(":")[0].split(".")[0]
+            if imported and imported not in trusted:
+                raise ConfigError(
+                    f"{full}={value}: code of {imported!r} would be imported; expected"
+                    f" trust=[{imported!r}], or trust=True for any"
+                )

@@ -1,0 +1,189 @@
+"""From the arguments of ``edtorch.learn`` to settings, and back in messages."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from edtorch.app.errors import ConfigError
+from edtorch.app.given import Given
+from sims.angle_view import PERIODS
+from sims.base import Quantity, Sim, Spec
+
+RATE_WEIGHT = 0.01
+"""Weight of a rate that ``target`` does not name, on the scale on which a named component has 1."""
+
+ACTION_WEIGHT = 0.1
+"""Weight of an action, on the same scale."""
+
+GYMNASIUM = "sims.from_gymnasium.GymnasiumSim"
+
+_ARGUMENTS = (
+    (r"domain\.(env_id|env)\b", "env"),
+    (r"domain\.state_names\b", "names"),
+    (r"domain\.", ""),
+    (r"reward\.target\.", "target."),
+    (r"reward\.(state|action)\.", "weights."),
+    (r"train\.", ""),
+    (r"experiment=", "preset="),
+)
+
+
+def in_arguments(message: str) -> str:
+    """A message about a setting, by the name of the argument of ``learn`` that it came from."""
+    for pattern, name in _ARGUMENTS:
+        found = re.match(pattern, message)
+        if found:
+            return name + message[found.end() :]
+    return message
+
+
+@dataclass(frozen=True)
+class World:
+    """What ``learn`` is told of the world beside ``env``; see there."""
+
+    dt: float | None = None
+    time_limit: float | None = None
+    names: Sequence[str] | None = None
+    action_names: Sequence[str] | None = None
+    angles: Any = None
+    rates: Mapping[str, str] | None = None
+    scale: Mapping[str, float] | None = None
+
+    def given(self) -> dict[str, Any]:
+        """The arguments that are not None."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+
+def domain_of(env: Any, world: World, target: Mapping[str, float]) -> dict[str, Any]:
+    """The node ``domain`` for ``env``: an id, a factory, an environment, or a ``Sim``."""
+    if inspect.isclass(env) and hasattr(env, "outcome") and hasattr(env, "observe"):
+        env = env()
+    if not isinstance(env, str) and hasattr(env, "observe") and hasattr(env, "outcome"):
+        for name, value in world.given().items():
+            raise ConfigError(
+                f"{name}={value}: expected none with a Sim, whose spec says it (sims.base.Spec)"
+            )
+        return {"given": Given(env)}
+    node: dict[str, Any] = {"_target_": GYMNASIUM}
+    node |= {"env_id": env} if isinstance(env, str) else {"env": Given(env)}
+    told = world.given()
+    if "names" in told:
+        told["state_names"] = list(told.pop("names"))
+    if "action_names" in told:
+        told["action_names"] = list(told["action_names"])
+    if "angles" in told:
+        told["angles"] = _around(told["angles"], target)
+    if "scale" in told:
+        actions = set(told.get("action_names", ()))
+        scales = told.pop("scale")
+        told["state_scale"] = {k: v for k, v in scales.items() if not _is_action(k, actions)}
+        told["action_scale"] = {k: v for k, v in scales.items() if _is_action(k, actions)}
+    return node | told
+
+
+def _is_action(name: str, actions: set[str]) -> bool:
+    return name in actions or (not actions and name.startswith("action_"))
+
+
+def _around(angles: Any, target: Mapping[str, float]) -> dict[str, Any]:
+    """``angles`` with the range of each that has a target around that: the difference from it is
+    then less than half a turn."""
+    wanted = dict(angles) if isinstance(angles, Mapping) else dict.fromkeys(angles, "rad")
+    nodes: dict[str, Any] = {}
+    for name, told in wanted.items():
+        node = told
+        if isinstance(told, str) and told in PERIODS:
+            node = {"unit": told}
+        elif isinstance(told, list | tuple):
+            node = {"pair": list(told)}
+        if isinstance(node, dict) and name in target:
+            node = {"around": float(target[name]), **node}
+        nodes[name] = node
+    return nodes
+
+
+def reward_of(
+    sim: Sim, target: Mapping[str, float] | None, weights: Mapping[str, float] | None
+) -> dict[str, Any]:
+    """The settings ``state``, ``action`` and ``target`` of the group ``reward``.
+
+    Without a target all components are wanted at zero, each with weight 1 / scale^2; with one,
+    those that it names, and rates that it does not name have ``RATE_WEIGHT`` / scale^2;
+    actions have ``ACTION_WEIGHT`` / scale^2.
+    """
+    spec = sim.spec
+    states, actions = ({q.name: q for q in group} for group in (spec.state, spec.action))
+    for name, value in (target or {}).items():
+        _check_target(name, value, states, spec)
+    state: dict[str, float] = {}
+    for q in spec.state:
+        weight = 1.0 if target is None or q.name in target else 0.0
+        if target is not None and q.name not in target and q.rate_of:
+            weight = RATE_WEIGHT
+        if weight:
+            state[q.name] = weight / q.scale**2
+    action = {q.name: ACTION_WEIGHT / q.scale**2 for q in spec.action}
+    for name, weight in (weights or {}).items():
+        if name not in states and name not in actions:
+            raise ConfigError(
+                f"weights.{name}={weight}: expected one of {', '.join([*states, *actions])}"
+            )
+        (state if name in states else action)[name] = float(weight)
+    wanted = {name: float(value) for name, value in (target or {}).items() if value}
+    return {"state": state, "action": action} | ({"target": wanted} if wanted else {})
+
+
+def _check_target(name: str, value: Any, states: Mapping[str, Quantity], spec: Spec) -> None:
+    if name not in states:
+        raise ConfigError(f"target.{name}={value}: expected one of {', '.join(states)}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ConfigError(f"target.{name}={value}: expected a finite number")
+    q = states[name]
+    if not q.period and not q.low <= value <= q.high:
+        raise ConfigError(
+            f"target.{name}={value}: expected a value within the bounds of {spec.name}, [{q.low:g},"
+            f" {q.high:g}]"
+        )
+
+
+def check_reward(reward: Any, spec: Spec) -> None:
+    """Call a reward once on zeros, to see that it gives one number for each row."""
+    if not callable(reward):
+        raise ConfigError(f"reward={reward!r}: expected a function of states and actions")
+    n, m = len(spec.state), len(spec.action)
+    for batch in ((2,), (3, 2)):
+        states = torch.zeros(*batch, n, dtype=torch.float64)
+        actions = torch.zeros(*batch, m, dtype=torch.float64)
+        try:
+            found = reward(states, actions)
+        except Exception as error:
+            why = " ".join(f"{type(error).__name__}: {error}".split())
+            raise ConfigError(
+                f"reward: raised {why} for states {list(states.shape)} and actions"
+                f" {list(actions.shape)}"
+            ) from error
+        if not isinstance(found, torch.Tensor) or tuple(found.shape) != batch:
+            what = (
+                f"a tensor {list(found.shape)}"
+                if isinstance(found, torch.Tensor)
+                else f"a {type(found).__name__}"
+            )
+            raise ConfigError(
+                f"reward: gave {what} for states {list(states.shape)} and actions"
+                f" {list(actions.shape)}, expected a tensor {list(batch)}"
+            )
+
+
+def budget_overrides(seconds: float | None, episodes: int | None) -> list[str]:
+    """The budget in overrides; the limits that are not given are none, unless neither is given."""
+    if seconds is None and episodes is None:
+        return []
+    told = {"seconds": seconds, "episodes": episodes, "rides": None}
+    return [f"train.{k}={'null' if v is None else v}" for k, v in told.items()]

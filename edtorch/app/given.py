@@ -1,0 +1,65 @@
+"""Objects that a Python caller hands over in place of a setting."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+
+class Given:
+    """An object among the settings.  It is shared, never copied, by copies of the settings."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Given:
+        return self
+
+    def __repr__(self) -> str:
+        return name_of(self.value)
+
+
+def name_of(value: Any) -> str:
+    """The full name of a function or class, that of its class for any other object."""
+    named = value if hasattr(value, "__qualname__") else type(value)
+    return f"{named.__module__}.{named.__qualname__}"
+
+
+def with_objects(config: DictConfig, changes: Mapping[str, Any]) -> DictConfig:
+    """``config`` with other nodes at its top, which may hold objects."""
+    content = OmegaConf.to_container(config, resolve=True)
+    assert isinstance(content, dict)
+    content.update({key: _plain(node) for key, node in changes.items()})
+    return cast(DictConfig, OmegaConf.create(content, flags={"allow_objects": True}))
+
+
+def _plain(node: Any) -> Any:
+    return dict(node) if isinstance(node, Mapping) else node
+
+
+def described(node: Any) -> Any:
+    """Settings as text can hold them: functions and classes of modules by their full name, so that
+    they are found again; of any other object only that there was one."""
+    if isinstance(node, Given):
+        name = name_of(node.value)
+        if _importable(node.value):
+            return {"_target_": name, "_partial_": True}
+        return {"given": name}
+    if isinstance(node, Mapping | DictConfig):
+        return {str(key): described(value) for key, value in node.items()}
+    if isinstance(node, list | tuple):
+        return [described(value) for value in node]
+    return node
+
+
+def _importable(value: Any) -> bool:
+    module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
+    if module in (None, "__main__") or name is None or "<" in name:
+        return False
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    return found is value

@@ -1,0 +1,233 @@
+"""What a run has learned, for Python: policies, figures, episodes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import shutil
+import statistics
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from edtorch.app.acting import Policy
+from edtorch.learner.learner import Actor
+from edtorch.learner.observer import Observer
+from edtorch.report.statistics import by_row
+from edtorch.run.episodes import Episode
+from edtorch.run.evaluation import evaluate
+from edtorch.run.random import Purpose, Streams, stream_key
+from edtorch.run.scaled_sim import World
+from edtorch.types import Parameters
+from sims.base import Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+JUDGED = 20
+"""Episodes by which ``Run.policy`` is chosen."""
+
+Score = tuple[float, float, float]
+
+
+class Run:
+    """A run of S learners, one for each of ``seeds``.
+
+    parameters: of their policies, ``[S, ...]``; world: makes a fresh world to evaluate in; records:
+    the episodes of learning; summary: the content of ``summary.json``; write: saves a complete run
+    folder under a path that does not exist yet; interrupted: whether it was stopped by Ctrl-C
+    before the end of its budget.
+    """
+
+    def __init__(
+        self,
+        *,
+        seeds: Sequence[int],
+        actor: Actor,
+        parameters: Parameters,
+        observer: Observer | None,
+        world: Callable[[], World],
+        records: Sequence[Episode],
+        summary: dict[str, Any],
+        write: Callable[[Path], None],
+        interrupted: bool = False,
+    ) -> None:
+        self.seeds = list(seeds)
+        self.summary = summary
+        self.interrupted = interrupted
+        self._actor = actor
+        self._parameters = parameters
+        self._observer = observer
+        self._world = world
+        self._records = list(records)
+        self._write = write
+
+    def __repr__(self) -> str:
+        return f"<edtorch run: {len(self.seeds)} seeds, {len(self._records)} episodes>"
+
+    @cached_property
+    def policies(self) -> list[Policy]:
+        """The policy of each seed, in the order of ``seeds``."""
+        world = self._world()
+        return [
+            Policy(world, self._actor, self._of(row), self._observer)
+            for row in range(len(self.seeds))
+        ]
+
+    @cached_property
+    def policy(self) -> Policy:
+        """The best of ``policies``, by success, then failures, then return in episodes that count
+        for nothing else."""
+        if len(self.seeds) == 1:
+            return self.policies[0]
+        judged = self._fresh(JUDGED, Purpose.JUDGING)
+        scores = [_score(own) for own in judged]
+        return self.policies[scores.index(max(scores))]
+
+    def evaluate(self, episodes: int = 50) -> dict[str, list[float | None]]:
+        """Run fresh episodes of each policy, without exploration or learning.
+
+        Returns figures with one number per seed: ``return``, ``episode_seconds`` and the sim's own
+        measures as means over the episodes, ``success_rate`` and ``failure_rate``; None where there
+        is none.  The same episodes again at every call, and the first of more are those of fewer.
+        """
+        if episodes < 1:
+            raise ValueError(f"episodes={episodes}: expected an integer >= 1")
+        return figures(self._fresh(episodes, Purpose.EVALUATION))
+
+    def env_seeds(self, episodes: int) -> list[list[int]]:
+        """For a Gymnasium environment, the seeds that ``evaluate`` resets it with, by learner: with
+        them a loop of your own over ``predict`` gives the same episodes."""
+        world = self._world()
+        seed_of = getattr(world.sim, "env_seed", None)
+        if seed_of is None:
+            raise ValueError(f"env_seeds: expected a Gymnasium environment, not {world.spec.name}")
+        keys = [stream_key(s, Purpose.EVALUATION, e) for s in self.seeds for e in range(episodes)]
+        drawn = Streams(keys, world.uniforms, 0, world.dtype).at(0).uniform[:, -1].tolist()
+        rows = range(0, len(keys), episodes)
+        return [[seed_of(uniform) for uniform in drawn[k : k + episodes]] for k in rows]
+
+    @property
+    def episodes(self) -> list[dict[str, Any]]:
+        """The episodes of learning: seed, episode, start_s, seconds, outcome, return and success
+        (None where there is none), and the sim's own measures."""
+        return [
+            {
+                "seed": self.seeds[e.row],
+                "episode": e.number,
+                "start_s": e.start,
+                "seconds": e.seconds,
+                "outcome": e.outcome.name.lower(),
+                "return": None if math.isnan(e.total_reward) else e.total_reward,
+                "success": e.success,
+                **{name: value for name, value in e.measures.items() if name != "return"},
+            }
+            for e in self._records
+        ]
+
+    def plot(self) -> Figure:
+        """The learning curve: how long each episode of each seed lasted, and how it ended."""
+        from edtorch.report.figures import learning_curve
+
+        size = len(self.seeds)
+        name = self._world().spec.name
+        title = f"{name}: {size} learner{'s' if size > 1 else ''}"
+        return learning_curve(self._records, size, None, title)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write a complete run folder, for ``edtorch.load``, ``edtorch-eval`` and
+        ``edtorch-report``.  Raises ValueError if the folder holds something already."""
+        path = Path(folder)
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise ValueError(f"folder={path}: expected a new or empty folder")
+        self._write(path)
+        return path
+
+    def _fresh(self, episodes: int, purpose: Purpose) -> list[list[Episode]]:
+        return evaluate(
+            self._actor,
+            self._parameters,
+            self._world(),
+            self.seeds,
+            episodes,
+            observer=self._observer,
+            among=self._records,
+            purpose=purpose,
+        )
+
+    def _of(self, row: int) -> Parameters:
+        return {name: p[row : row + 1] for name, p in self._parameters.items()}
+
+
+def figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, list[float | None]]:
+    """See ``Run.evaluate``."""
+    names = dict.fromkeys(n for own in evaluated for e in own for n in e.measures)
+    names.pop("return", None)
+    return {
+        "return": [_mean([e.total_reward for e in own]) for own in evaluated],
+        "success_rate": [_mean([_known(e.success) for e in own]) for own in evaluated],
+        "failure_rate": [
+            _mean([float(e.outcome is Outcome.FAILED) for e in own]) for own in evaluated
+        ],
+        "episode_seconds": [_mean([e.seconds for e in own]) for own in evaluated],
+        **{name: [_mean([e.measures[name] for e in own]) for own in evaluated] for name in names},
+    }
+
+
+def _known(success: bool | None) -> float:
+    return math.nan if success is None else float(success)
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    finite = [v for v in values if math.isfinite(v)]
+    return statistics.fmean(finite) if finite else None
+
+
+def _score(episodes: Sequence[Episode]) -> Score:
+    found = figures([episodes])
+    success, failure, total = (
+        found[name][0] for name in ("success_rate", "failure_rate", "return")
+    )
+    return (
+        -math.inf if success is None else success,
+        -math.inf if failure is None else -failure,
+        -math.inf if total is None else total,
+    )
+
+
+def read_records(path: Path, seeds: Sequence[int]) -> list[Episode]:
+    """The episodes in an ``episodes.csv``."""
+    known = {"seed", "episode", "start_s", "seconds", "outcome", "return", "success"}
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            Episode(
+                row=list(seeds).index(int(row["seed"])),
+                number=int(row["episode"]),
+                start=float(row["start_s"]),
+                seconds=float(row["seconds"]),
+                outcome=Outcome[row["outcome"].upper()],
+                measures={k: _number(v) for k, v in row.items() if k not in known},
+                total_reward=_number(row.get("return", "")),
+                success=None if not row.get("success") else bool(int(row["success"])),
+            )
+            for row in csv.DictReader(file)
+        ]
+
+
+def _number(text: str) -> float:
+    return float(text) if text else math.nan
+
+
+def read_summary(path: Path) -> dict[str, Any]:
+    """A ``summary.json``; empty for a run that was interrupted before its evaluation."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+
+def copied(source: Path) -> Callable[[Path], None]:
+    """``write`` of a run that was loaded from ``source``."""
+    return lambda folder: (shutil.copytree(source, folder, dirs_exist_ok=True), None)[1]
+
+
+__all__ = ["Run", "by_row", "copied", "figures", "read_records", "read_summary"]

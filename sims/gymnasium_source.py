@@ -1,0 +1,190 @@
+"""Where the copies of a Gymnasium environment come from, and what an environment says of itself."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+from gymnasium import spaces
+
+Env = gymnasium.Env[Any, Any]
+Factory = Callable[[], Env]
+
+_FACTORY = "give a factory, a function without arguments that returns a new environment"
+_UNBOUNDED = 1e30
+"""A bound of this size is none: some environments write the largest float for infinity."""
+
+_users: weakref.WeakKeyDictionary[Env, weakref.ref[object]] = weakref.WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class Source:
+    """name: for messages and tables; first: a copy to look at, and the first to be used; more:
+    makes another one, None where ``first`` is all there is."""
+
+    name: str
+    first: Env
+    more: Factory | None
+
+    def another(self) -> Env:
+        """One more copy; ValueError where there can be none."""
+        if self.more is None:
+            raise ValueError(
+                f"env: {self.name} cannot be copied, having no spec to be rebuilt from; {_FACTORY}"
+            )
+        return self.more()
+
+
+def source_of(env_id: str | None, env: Env | Factory | None, kwargs: Mapping[str, Any]) -> Source:
+    """From an id of ``gymnasium.make`` with its arguments, an environment, or a factory."""
+    if (env_id is None) == (env is None):
+        raise ValueError(f"env_id={env_id}: expected either an id or an environment (env)")
+    if env_id is not None:
+        return Source(env_id, made(env_id, kwargs), lambda: made(env_id, kwargs))
+    if kwargs:
+        raise ValueError(f"env_kwargs={dict(kwargs)}: expected none without an env_id")
+    if isinstance(env, gymnasium.Env):
+        return Source(_name(env), env, _rebuilding(env))
+    if not callable(env):
+        raise ValueError(f"env={env!r}: expected an environment, or a factory without arguments")
+    factory, label = env, getattr(env, "__name__", type(env).__name__)
+
+    def build() -> Env:
+        try:
+            found = factory()
+        except Exception as error:
+            why = " ".join(f"{type(error).__name__}: {error}".split())
+            raise ValueError(f"env={label}: the factory raised {why}") from error
+        if not isinstance(found, gymnasium.Env):
+            raise ValueError(
+                f"env={label}: expected a factory of gymnasium.Env, it gave a"
+                f" {type(found).__name__}"
+            )
+        return found
+
+    first = build()
+    return Source(_name(first), first, build)
+
+
+def made(env_id: str, kwargs: Mapping[str, Any]) -> Env:
+    """``gymnasium.make``, with a ValueError for what it refuses."""
+    try:
+        return gymnasium.make(env_id, **kwargs)
+    except (gymnasium.error.Error, ImportError, TypeError) as error:
+        why = " ".join(str(error).split())
+        raise ValueError(f"env_id={env_id}: expected a Gymnasium environment ({why})") from error
+
+
+def _name(env: Env) -> str:
+    try:
+        spec = env.spec
+    except ValueError:  # a wrapper that does not record its arguments
+        spec = None
+    return type(env.unwrapped).__name__ if spec is None else spec.id
+
+
+def _rebuilding(env: Env) -> Factory | None:
+    """What makes environments like ``env`` from its spec; None where that is impossible."""
+    try:
+        spec = env.spec
+        if spec is None:
+            return None
+        gymnasium.make(spec).close()
+    except Exception:  # whatever stands in the way, there is no second copy
+        return None
+    return lambda: gymnasium.make(spec)
+
+
+def taken_by(env: Env, user: object) -> None:
+    """From now on ``env`` belongs to ``user``: whoever had it before would disturb its episode."""
+    _users[env] = weakref.ref(user)
+
+
+def belongs_to(env: Env, user: object) -> bool:
+    """Whether nobody has taken ``env`` since ``user`` did."""
+    owner = _users.get(env)
+    return owner is not None and owner() is user
+
+
+def stated_dt(env: Env) -> float | None:
+    """Seconds per step where the environment states them: ``dt`` (MuJoCo, Pendulum), ``tau``
+    (CartPole), or ``control_timestep()`` of a dm_control environment; None elsewhere."""
+    inner = env.unwrapped
+    for name in ("dt", "tau"):
+        value = getattr(inner, name, None)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+    control = getattr(getattr(inner, "_env", None), "control_timestep", None)
+    return None if control is None else float(control())
+
+
+def stated_limit(env: Env) -> int | None:
+    """Steps after which the environment is truncated, where its spec or a wrapper states them."""
+    layer = env
+    while isinstance(layer, gymnasium.Wrapper):
+        if isinstance(layer, gymnasium.wrappers.TimeLimit):
+            return layer._max_episode_steps
+        layer = layer.env
+    return None if layer.spec is None else layer.spec.max_episode_steps
+
+
+def stated_threshold(env: Env) -> float | None:
+    """The registered return from which the environment counts as solved."""
+    spec = env.unwrapped.spec
+    return None if spec is None else spec.reward_threshold
+
+
+def observation_box(name: str, space: gymnasium.Space[Any]) -> spaces.Box:
+    """The space of observations, a vector; ValueError with the way to wrap any other."""
+    if isinstance(space, spaces.Box) and len(space.shape) == 1:
+        return space
+    flatten = "wrap it in gymnasium.wrappers.FlattenObservation"
+    remedy = "supported are vectors of numbers"
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        remedy = f"supported are vectors; {flatten}"
+    elif isinstance(space, spaces.Box) and (len(space.shape) >= 3 or space.dtype.kind == "u"):
+        remedy = (
+            "images are not supported; wrap it in gymnasium.wrappers.TransformObservation with a"
+            " function that extracts a vector"
+        )
+    elif isinstance(space, spaces.Box):
+        remedy = f"supported are vectors; {flatten}"
+    elif isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
+        remedy = "discrete observations are not supported"
+    raise ValueError(f"env_id={name}: observation space {_short(space)}: {remedy}")
+
+
+def action_box(name: str, space: gymnasium.Space[Any]) -> spaces.Box:
+    """The space of actions, a vector; ValueError with the way to wrap any other."""
+    if isinstance(space, spaces.Box) and len(space.shape) == 1:
+        return space
+    remedy = "supported is a one-dimensional Box"
+    if isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
+        remedy = (
+            "discrete actions are not supported; use a version with continuous actions, or map"
+            " numbers to them with gymnasium.wrappers.TransformAction"
+        )
+    elif isinstance(space, spaces.Dict | spaces.Tuple | spaces.Box):
+        remedy = (
+            "supported is a one-dimensional Box; map one to it with"
+            " gymnasium.wrappers.TransformAction"
+        )
+    raise ValueError(f"env_id={name}: action space {_short(space)}: {remedy}")
+
+
+def _short(space: gymnasium.Space[Any], most: int = 80) -> str:
+    text = " ".join(str(space).split())
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
+def bounds(box: spaces.Box) -> list[tuple[float, float]]:
+    """Bounds of each component, infinite where the box has none."""
+    pairs = zip(box.low.astype(float), box.high.astype(float), strict=True)
+    infinite = float("inf")
+    return [
+        (low if low > -_UNBOUNDED else -infinite, high if high < _UNBOUNDED else infinite)
+        for low, high in pairs
+    ]
