@@ -11,9 +11,7 @@ import torch
 
 from edtorch.app.errors import ConfigError
 from edtorch.compiled.compilation import CannotCompile, CompileMode, check_compiler
-from edtorch.inverse.learner import InverseLearner
-from edtorch.learner.filter import JointFilter
-from edtorch.learner.learner import AnyLearner, Learner
+from edtorch.learner.learner import AnyLearner
 from edtorch.run.episodes import Budget
 from edtorch.run.random import BLOCK
 from edtorch.run.recorder import kept_bytes
@@ -131,27 +129,14 @@ def plan_inverse(config: Any, budget: Budget, world: World) -> Compute:
     return uncompiled(plan(config, budget, world, 1), config)
 
 
-def needed_bytes(learner: Learner, world: World, learners: int) -> int:
-    """Memory that a population takes, about: its random numbers, its state (now and before), and
-    the tape of an uncompiled unroll."""
-    states = sum(p.numel() for p in learner.model.parameters()) + sum(
-        p.numel() for p in learner.policy.parameters()
-    )
-    squares = len(world.spec.state) ** 2
-    if isinstance(learner.fit, JointFilter):
-        # The covariance of the weights: now, before, and twice more on the way.
-        squares += 4 * learner.model.weight.numel() ** 2 // 100
-    per_learner = _random_numbers(world) + 4 * states + 100 * squares + 500
-    return learners * per_learner * _BYTES
-
-
-def needed_bytes_inverse(learner: InverseLearner, world: World, learners: int) -> int:
-    """``needed_bytes`` of learners of inverse models, whose sums of products take nearly all: now,
-    before, and twice more while they are being solved."""
+def needed_bytes(learner: AnyLearner, world: World, learners: int) -> int:
+    """Memory that a population takes, about: its random numbers, its state (now, before, and twice
+    more on the way), and the tape of an uncompiled unroll."""
     one = learner.initial([0])
     parts = (one.model, one.policy, one.fit, one.noise, one.step)
     states = sum(p.numel() for part in parts for p in part.values())
-    return learners * (_random_numbers(world) + 4 * states + 500) * _BYTES
+    tape = 100 * len(world.spec.state) ** 2
+    return learners * (_random_numbers(world) + 4 * states + tape + 500) * _BYTES
 
 
 def _random_numbers(world: World) -> int:
@@ -161,11 +146,7 @@ def _random_numbers(world: World) -> int:
 
 def check_memory(learner: AnyLearner, world: World, learners: int) -> None:
     """Refuse a population that the machine has no memory for; ConfigError."""
-    if isinstance(learner, InverseLearner):
-        needed = needed_bytes_inverse(learner, world, learners)
-    else:
-        assert isinstance(learner, Learner)
-        needed = needed_bytes(learner, world, learners)
+    needed = needed_bytes(learner, world, learners)
     free = free_bytes(world.device)
     if needed > free:
         raise ConfigError(

@@ -38,6 +38,14 @@ def target_class(group: str, config: Any) -> Any:
         ) from error
 
 
+def accepts(target: Any, name: str) -> bool:
+    """Whether a constructor has an argument of this name."""
+    try:
+        return name in inspect.signature(target).parameters
+    except ValueError:
+        return False
+
+
 def argument(key: str, value: Any) -> Any:
     """A constructor's argument: nested targets become objects, other nodes plain containers."""
     if isinstance(value, Given):
@@ -65,7 +73,8 @@ def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
     """An object from a ``_target_`` node; keys that its constructor does not know are refused.
 
     methods: what the object must be able to do; more: arguments that do not come from the
-    configuration, of which the constructor gets those that it knows.
+    configuration, of which the constructor gets those that it knows; ``_args_`` in the node are
+    arguments by place, with which it gets nothing else.
     """
     target = target_class(group, config)
     lacking = [name for name in methods if not hasattr(target, name)]
@@ -79,18 +88,26 @@ def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
     except ValueError as error:
         raise ConfigError(f"{group}._target_={config._target_}: {error}") from error
     if not any(p.kind is _GATHERING[1] for p in accepted.values()):
-        known_keys(group, config, (set(accepted) - set(more)) | {"_target_"})
-    arguments = {str(k): argument(f"{group}.{k}", v) for k, v in config.items() if k != "_target_"}
-    arguments |= {k: v for k, v in more.items() if k in accepted}
+        known_keys(group, config, (set(accepted) - set(more)) | {"_target_", "_args_"})
+    places = [
+        argument(f"{group}._args_[{place}]", value)
+        for place, value in enumerate(config.get("_args_", ()))
+    ]
+    arguments = {
+        str(k): argument(f"{group}.{k}", v)
+        for k, v in config.items()
+        if k not in ("_target_", "_args_")
+    }
+    arguments |= {k: v for k, v in more.items() if k in accepted and not places}
     for name, parameter in accepted.items():
         optional = parameter.kind in _GATHERING or parameter.default is not inspect.Parameter.empty
-        if not optional and name not in arguments:
+        if not optional and name not in arguments and not places:
             raise ConfigError(f"{group}.{name}: no value given; set it with {group}.{name}=...")
     # Called here and not by Hydra, so that its errors reach us as they are.
     constructor = instantiate({"_target_": current_target(config._target_), "_partial_": True})
     with under(group):
         try:
-            return constructor(**arguments)
+            return constructor(*places, **arguments)
         except (ValueError, TypeError):
             raise
         except Exception as error:

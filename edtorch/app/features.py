@@ -45,11 +45,21 @@ def build_features(key: str, config: Any, inputs: int, spec: Spec, seed: int) ->
     return features
 
 
+def without_features(group: str, config: DictConfig) -> DictConfig:
+    """The node of a part that has no feature map; one that is asked for is refused."""
+    if config.get("features", "identity") != "identity":
+        raise ConfigError(
+            f"{group}.features={config.features}: {config._target_} has no argument features"
+        )
+    return OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])
+
+
 def features_of(
     group: str, config: Any, inputs: int, spec: Spec, seed: int
 ) -> tuple[FeatureMap, DictConfig]:
     """The feature map of a model or policy, and the rest of its node."""
-    if not isinstance(config, DictConfig) or "features" not in config:
-        raise ConfigError(f"{group}={config}: expected a mapping with _target_ and features")
-    features = build_features(f"{group}.features", config.features, inputs, spec, seed)
+    if not isinstance(config, DictConfig):
+        raise ConfigError(f"{group}={config}: expected a mapping with a _target_")
+    chosen = config.get("features", "identity")
+    features = build_features(f"{group}.features", chosen, inputs, spec, seed)
     return features, OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import TypeVar, cast, get_args
 
 import torch
 from omegaconf import DictConfig
@@ -19,7 +19,8 @@ from edtorch.app.policy import build_policy
 from edtorch.app.reward import build_reward
 from edtorch.inverse.forward import tracking
 from edtorch.learner.learner import Learner
-from edtorch.model.models import DerivativeModel
+from edtorch.policy.policies import GainedPolicy
+from edtorch.rewards import target_of
 from edtorch.run.scaled_sim import World
 from edtorch.value.choose import Method, choose_path
 from edtorch.value.error_estimate import ValueErrorIndicator
@@ -40,11 +41,20 @@ class Forward:
     compiled: Learner | None
 
 
+_Part = TypeVar("_Part")
+
+
+def _moved(part: _Part, device: torch.device) -> _Part:
+    """A part with parameters on the device; one without ``to`` is none of torch's modules."""
+    move = getattr(part, "to", None)
+    return part if move is None else move(device)
+
+
 def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward:
     """The learner of a whole configuration, for a world.  Raises ConfigError."""
     sim, dtype, device = world.sim, compute.dtype, compute.device
-    model = build_model(config.model, world, dtype, config.seed).to(device)
-    policy = build_policy(config.policy, sim, dtype, config.seed).to(device)
+    model = _moved(build_model(config.model, world, dtype, config.seed), device)
+    policy = _moved(build_policy(config.policy, sim, dtype, config.seed), device)
     reward = build_reward(config.reward, sim, dtype, device)
     transform = construct(
         "transform",
@@ -58,7 +68,7 @@ def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward
     fit = build_fit(config, world, model)
     observer = build_observer(config.observation, world, model, fit)
     with under("unroll"):
-        euler = isinstance(model, DerivativeModel)
+        euler = model.integrates
         step = config.unroll.dt if euler else world.dt
         horizon = Horizon(
             config.unroll.horizon,
@@ -103,7 +113,9 @@ def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward
         )
     if config.unroll.direction == "regulator":
         with under("unroll"):
-            path = compilable = Regulator(model, policy, reward, horizon, start_cov)
+            path = compilable = Regulator(
+                model, cast(GainedPolicy, policy), reward, horizon, start_cov
+            )
         reason = "Riccati recursion on the learned model"
     tracked = tracking(model, policy, reward, transform, horizon)
     if tracked is not None and config.unroll.path == "auto":
@@ -113,8 +125,9 @@ def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward
             f"unroll.start={config.unroll.start}: expected one of {', '.join(STARTS)}"
         )
     if config.unroll.start == "origin":
-        path = FromOrigin(path)
-        compilable = None if compilable is None else FromOrigin(compilable)
+        target = target_of(reward)
+        path = FromOrigin(path, target)
+        compilable = None if compilable is None else FromOrigin(compilable, target)
     check_start(config.command, world)
     with under("noise"):
         learner = Learner(

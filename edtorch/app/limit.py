@@ -14,7 +14,7 @@ from edtorch.learner.limit import CommandLimit, Ramp, Safe
 from edtorch.learner.schedule import Schedule
 from edtorch.model.models import Model
 from edtorch.model.noise import Noise
-from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.policies import Policy
 from edtorch.run.scaled_sim import World
 from sims.base import Spec
 
@@ -64,7 +64,7 @@ def _ramp(config: Any, world: World) -> Ramp:
 
 
 def build_command(
-    config: Any, world: World, model: Model, policy: LinearPolicy, noise: Noise | None
+    config: Any, world: World, model: Model, policy: Policy, noise: Noise | None
 ) -> CommandLimit | None:
     """The rule for what is seen of an observation, from the group ``command``."""
     if variant(config) == "free":

@@ -7,44 +7,74 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from edtorch.app.construct import construct
+from edtorch.app.construct import accepts, construct, target_class
 from edtorch.app.errors import ConfigError
-from edtorch.app.features import features_of
+from edtorch.app.features import features_of, without_features
 from edtorch.app.observation import build_deviations
-from edtorch.learner.filter import JointFilter
-from edtorch.model.fit import Fit
+from edtorch.learner.estimator import AnyFit
 from edtorch.model.models import Model
-from edtorch.model.noise import BayesianNoise, Noise
+from edtorch.model.module import as_model
+from edtorch.model.noise import Noise
 from edtorch.run.scaled_sim import World
 
 
 def build_model(config: Any, world: World, dtype: torch.dtype, seed: int) -> Model:
-    """The model, as a template for one learner.  Raises ConfigError."""
-    states, actions = len(world.spec.state), len(world.spec.action)
-    features, rest = features_of("model", config, states + actions, world.spec, seed)
-    return construct(
-        "model",
-        rest,
-        "linear_dynamics",
-        states=states,
-        actions=actions,
-        features=features,
-        period=world.period,
-    )
+    """The model, as a template for one learner.
+
+    A constructor gets what it asks for of ``states`` n, ``actions`` m, ``features`` (from
+    ``model.features``), ``period``, ``spec`` and ``dtype``; a module without ``next`` is taken for
+    a function of state and action.  Raises ConfigError.
+    """
+    n, m = len(world.spec.state), len(world.spec.action)
+    more: dict[str, Any] = {
+        "states": n,
+        "actions": m,
+        "period": world.period,
+        "spec": world.spec,
+        "dtype": dtype,
+    }
+    if accepts(target_class("model", config), "features"):
+        more["features"], rest = features_of("model", config, n + m, world.spec, seed)
+    else:
+        rest = without_features("model", config)
+    part = construct("model", rest, **more)
+    try:
+        return as_model(part, n, m, world.period)
+    except (ValueError, TypeError, RuntimeError) as error:
+        why = " ".join(str(error).split())
+        raise ConfigError(f"model._target_={config._target_}: {why}") from error
 
 
-def build_fit(config: DictConfig, world: World, model: Model) -> Fit | JointFilter:
+FITS = (("initial", "update"), ("initial_memory", "improve"))
+"""What a rule for weights offers, and one for any parameters."""
+
+
+def build_fit(config: DictConfig, world: World, model: Model) -> AnyFit:
     """The estimator of the model's parameters, from the group ``fit``."""
     deviations = build_deviations(config.observation, world)
-    return construct("fit", config.fit, "initial", "update", model=model, deviations=deviations)
+    offered = target_class("fit", config.fit)
+    methods = FITS[1] if getattr(offered, "fits_parameters", False) else FITS[0]
+    fit = construct("fit", config.fit, *methods, model=model, deviations=deviations)
+    fits_weights = not (
+        getattr(fit, "fits_parameters", False) or getattr(model, "linear_in_parameters", False)
+    )
+    if fits_weights:
+        raise ConfigError(
+            f"fit._target_={config.fit._target_}: expected fit=gradient with"
+            f" model._target_={config.model._target_}, which is not linear in features"
+        )
+    return fit
 
 
-def build_noise(config: Any, fit: Fit | JointFilter, model: Model, stretch: float) -> Noise:
+def build_noise(config: Any, fit: AnyFit, model: Model, stretch: float) -> Noise:
     """The rule for nu~; stretch: ticks of the simulator in a step of the unroll."""
     own = [str(k) for k in config if not str(k).startswith("exploration")]
     rest = OmegaConf.masked_copy(config, own)
     noise = construct("noise", rest, "covariance", "update", stretch=stretch)
-    if isinstance(noise, BayesianNoise) and "P" not in fit.initial(model.weight):
+    needs = getattr(noise, "needs", ())
+    kept = getattr(fit, "initial", None)
+    known = kept(model.initial([0])["weight"]) if needs and kept is not None else {}
+    if any(name not in known for name in needs):
         raise ConfigError(
             f"noise._target_={config._target_}: expected a fit that knows how sure it is, "
             "fit=least_squares or fit=bayesian"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -10,10 +10,10 @@ from torch import Tensor
 from edtorch.app.checks import at_least
 from edtorch.app.errors import ConfigError, under
 from edtorch.learner.delay import Delay
+from edtorch.learner.estimator import AnyFit
 from edtorch.learner.filter import JointFilter
 from edtorch.learner.observer import Observer
-from edtorch.model.fit import Fit
-from edtorch.model.models import Model
+from edtorch.model.models import DerivativeModel, Model, NextStateModel
 from edtorch.run.scaled_sim import World
 
 
@@ -29,11 +29,9 @@ def build_deviations(config: Any, world: World) -> Tensor:
     return torch.tensor(deviations, dtype=world.dtype, device=world.device)
 
 
-def build_observer(
-    config: Any, world: World, model: Model, fit: Fit | JointFilter
-) -> Observer | None:
+def build_observer(config: Any, world: World, model: Model, fit: AnyFit) -> Observer | None:
     """From the group ``observation``; None where observations are taken for the state."""
-    filtered = isinstance(fit, JointFilter)
+    filtered = getattr(fit, "estimates_state", False)
     if config.noise and not filtered:
         raise ConfigError(
             f"observation.noise={dict(config.noise)}: expected fit=filtered, which makes use of it"
@@ -42,7 +40,13 @@ def build_observer(
     if not (filtered or config.delay):
         return None
     with under("observation"):
-        return Observer(model, Delay(config.delay), fit if filtered else None, world.seconds)
+        # The observer refuses what is not linear in features.
+        return Observer(
+            cast(DerivativeModel | NextStateModel, model),
+            Delay(config.delay),
+            cast(JointFilter, fit) if filtered else None,
+            world.seconds,
+        )
 
 
 def check_unobserved(config: Any) -> None:

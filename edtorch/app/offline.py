@@ -33,7 +33,6 @@ from edtorch.app.signals import Stop
 from edtorch.app.summary import Timing, broken, flat_settings, medians, summary_table
 from edtorch.errors import CovarianceFloored
 from edtorch.learner.learner import Learner
-from edtorch.model.models import NextStateModel
 from edtorch.report.milestones import checkpoint, milestones
 from edtorch.report.statistics import FirstRide, Spread, evaluation_figures, first_ride_figures
 from edtorch.run.checkpoint import save_policy, write_atomically, write_text
@@ -119,7 +118,7 @@ def _load(config: Any, setup: Setup) -> tuple[Recorded, list[str]]:
     data = joined([each.recorded for each in loaded])
     assert isinstance(setup.learner, Learner)
     dt = setup.world.dt
-    if isinstance(setup.learner.model, NextStateModel):
+    if not setup.learner.model.integrates:
         other = data.dt[data.valid & ~_close(data.dt, dt)]
         if len(other):
             raise ConfigError(

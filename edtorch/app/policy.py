@@ -2,41 +2,59 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import torch
 from omegaconf import DictConfig
 
-from edtorch.app.construct import construct
-from edtorch.app.features import features_of
+from edtorch.app.construct import accepts, construct, target_class
+from edtorch.app.errors import ConfigError
+from edtorch.app.features import features_of, without_features
 from edtorch.app.inverse import build_controller, has_inverse
 from edtorch.app.limit import variant
 from edtorch.app.model import build_fit, build_model
 from edtorch.app.observation import build_observer
-from edtorch.inverse.controller import InverseController
+from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
-from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.module import as_policy
+from edtorch.policy.policies import LinearPolicy, Policy, policy_label
 from edtorch.run.checkpoint import PolicyCard
 from edtorch.run.scaled_sim import World
 from sims.base import Sim
 
-FeaturedActor = LinearPolicy | InverseController
 Shapes = dict[str, tuple[int, ...]]
 
 
-def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> LinearPolicy:
-    """The policy, as a template for one learner."""
-    states, actions = len(sim.spec.state), len(sim.spec.action)
-    features, rest = features_of("policy", config, states, sim.spec, seed)
-    return construct(
-        "policy",
-        rest,
-        "linear_gain",
-        states=states,
-        actions=actions,
-        features=features,
-        dtype=dtype,
-    )
+def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> Policy:
+    """The policy, as a template for one learner.
+
+    A constructor gets what it asks for of ``states`` n, ``actions`` m, ``features`` (from
+    ``policy.features``), ``spec`` and ``dtype``; a module without ``action`` is taken for a
+    function from states to actions.  Raises ConfigError.
+    """
+    n, m = len(sim.spec.state), len(sim.spec.action)
+    more: dict[str, Any] = {"states": n, "actions": m, "spec": sim.spec, "dtype": dtype}
+    if accepts(target_class("policy", config), "features"):
+        more["features"], rest = features_of("policy", config, n, sim.spec, seed)
+    else:
+        rest = without_features("policy", config)
+    part = construct("policy", rest, **more)
+    try:
+        return as_policy(part, n, m, dtype)
+    except (ValueError, TypeError, RuntimeError) as error:
+        why = " ".join(str(error).split())
+        raise ConfigError(f"policy._target_={config._target_}: {why}") from error
+
+
+def build_linear_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> LinearPolicy:
+    """``build_policy`` for what searches among policies linear in features.  Raises ConfigError."""
+    policy = build_policy(config, sim, dtype, seed)
+    if not getattr(policy, "linear_in_features", False):
+        raise ConfigError(
+            f"policy._target_={config._target_}: expected a policy linear in features with a rival,"
+            " policy=linear or squashed"
+        )
+    return cast(LinearPolicy, policy)
 
 
 def build_frozen_observer(config: DictConfig, world: World) -> Observer | None:
@@ -47,7 +65,7 @@ def build_frozen_observer(config: DictConfig, world: World) -> Observer | None:
     return build_observer(config.observation, world, model, build_fit(config, world, model))
 
 
-def build_actor(config: Any, world: World) -> tuple[FeaturedActor, Shapes]:
+def build_actor(config: Any, world: World) -> tuple[Actor, Shapes]:
     """What acts, for one learner, and the shapes of its parameters."""
     sim, dtype = world.sim, world.dtype
     if has_inverse(config):
@@ -59,7 +77,7 @@ def build_actor(config: Any, world: World) -> tuple[FeaturedActor, Shapes]:
         }
         return controller, shapes
     policy = build_policy(config.policy, sim, dtype, config.seed)
-    shapes = {name: tuple(p.shape) for name, p in policy.named_parameters()}
+    shapes = {name: tuple(p.shape[1:]) for name, p in policy.initial([0]).items()}
     if variant(config.command) != "free":
         shapes["limit"] = (len(sim.spec.state),)
     observer = build_frozen_observer(config, world)
@@ -68,7 +86,7 @@ def build_actor(config: Any, world: World) -> tuple[FeaturedActor, Shapes]:
     return policy, shapes
 
 
-def policy_card(sim: Sim, policy: FeaturedActor, seeds: list[int]) -> PolicyCard:
+def policy_card(sim: Sim, policy: Actor, seeds: list[int]) -> PolicyCard:
     """What a policy of this configuration is made for."""
     spec = sim.spec
     return PolicyCard(
@@ -76,6 +94,6 @@ def policy_card(sim: Sim, policy: FeaturedActor, seeds: list[int]) -> PolicyCard
         states=[q.name for q in spec.state],
         actions=[q.name for q in spec.action],
         scales=[q.scale for q in (*spec.state, *spec.action)],
-        policy=f"{type(policy).__name__}({type(policy.features).__name__})",
+        policy=policy_label(policy),
         seeds=seeds,
     )

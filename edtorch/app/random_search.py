@@ -24,7 +24,7 @@ from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct, target_class
 from edtorch.app.domain import build_sim
 from edtorch.app.errors import ConfigError
-from edtorch.app.policy import build_policy, policy_card
+from edtorch.app.policy import build_linear_policy, policy_card
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
 from edtorch.compiled.compilation import CompileMode
@@ -87,7 +87,7 @@ def build_search(config: DictConfig) -> SearchSetup:
     settings = construct("rival", OmegaConf.masked_copy(config.rival, keys))
     dtype = torch.float32 if config.compute.precision == "mixed" else torch.float64
     sim = build_sim(config.domain)
-    policy = build_policy(config.policy, sim, dtype, config.seed)
+    policy = build_linear_policy(config.policy, sim, dtype, config.seed)
     return SearchSetup(
         settings, World(sim, dtype), policy, config.seed, processes, config.compute.compile
     )

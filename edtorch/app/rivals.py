@@ -28,7 +28,7 @@ from edtorch.app.domain import build_sim, changed_domain
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.inverse import has_inverse
 from edtorch.app.limit import variant
-from edtorch.app.policy import build_policy
+from edtorch.app.policy import build_linear_policy
 from edtorch.app.reward import build_reward
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
@@ -99,7 +99,7 @@ def build_rival(config: DictConfig) -> RivalSetup:
         )
     problem = Problem(
         world=world,
-        policy=build_policy(config.policy, sim, dtype, config.seed),
+        policy=build_linear_policy(config.policy, sim, dtype, config.seed),
         reward=reward,
         seeds=range(config.seed, config.seed + config.seeds),
         compile=config.compute.compile,

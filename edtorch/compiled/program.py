@@ -204,7 +204,7 @@ def compile_tick(tick: Tick, tile: Population, draw: Draw, *, improve: bool) -> 
         stored(draw.normal),
         clock,
     )
-    parts = (tick.world.sim, learner.model.features, learner.policy, learner.fit, learner.step_rule)
+    parts = (tick.world.sim, learner.model, learner.policy, learner.fit, learner.step_rule)
     graph = _Graph(tick, spec, improve=improve)
     # When policies are improved is not the program's business.
     function = (replace(tick, schedule=ALWAYS), improve)

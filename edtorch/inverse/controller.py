@@ -24,6 +24,11 @@ class InverseController:
     features: InverseFeatures
     coordinates: Coordinates
 
+    @property
+    def label(self) -> str:
+        """What a saved policy of this kind is called."""
+        return f"{type(self).__name__}({type(self.features).__name__})"
+
     def action(self, parameters: Parameters, observation: Tensor) -> Tensor:
         """The action ``[*batch, n]``, scaled, for a scaled observation ``[*batch, N]``."""
         view = self.coordinates.view(observation)

@@ -18,10 +18,10 @@ from edtorch.inverse.layout import Layout
 from edtorch.inverse.policy import InversePolicy
 from edtorch.inverse.unroll import by_theta, driven
 from edtorch.model.features import FeatureMap
-from edtorch.model.models import DerivativeModel, Model
-from edtorch.policy.policies import LinearPolicy, SquashedPolicy
-from edtorch.rewards import QuadraticReward, Reward
-from edtorch.transform import MeanOnly, Transform
+from edtorch.model.models import Model
+from edtorch.policy.policies import LinearPolicy, Policy, SquashedPolicy
+from edtorch.rewards import Reward, quadratic_form_of
+from edtorch.transform import Transform
 from edtorch.types import Parameters
 from edtorch.value.unroll import Horizon, ValueGradient
 from sims.base import Spec, spec_index
@@ -133,29 +133,32 @@ class Tracking:
 
 def tracking(
     model: Model,
-    policy: LinearPolicy,
+    policy: Policy,
     reward: Reward,
     transform: Transform,
     horizon: Horizon,
 ) -> Tracking | None:
     """The fast path where it holds, else None."""
+    seen, sees = getattr(model, "features", None), getattr(policy, "features", None)
     parts = (
-        isinstance(model, DerivativeModel)
-        and isinstance(transform, MeanOnly)
+        model.integrates
+        and isinstance(seen, Mechanical)
+        and isinstance(sees, Errors)
+        # Not a subclass, which may act otherwise.
         and type(policy) in (LinearPolicy, SquashedPolicy)
-        and isinstance(policy.features, Errors)
+        and not transform.propagates_covariance
+        and getattr(transform, "exact_for_linear", False)
         and horizon.first_step == 1
     )
-    if not parts or not isinstance(model.features, Mechanical):
+    form = quadratic_form_of(reward)
+    if not parts or form is None or not form.is_plain or bool((form.action != 0).any()):
         return None
-    if not isinstance(reward, QuadraticReward) or reward.costs_actions:
+    assert isinstance(seen, Mechanical)
+    cost = distance_cost(seen.layout.spec).to(form.state)
+    weight = float(form.state.trace() / cost.trace())
+    if not torch.allclose(form.state, weight * cost, rtol=1e-12, atol=0.0):
         return None
-    layout = model.features.layout
-    cost = distance_cost(layout.spec).to(reward.state_cost)
-    weight = float(reward.state_cost.trace() / cost.trace())
-    if not torch.allclose(reward.state_cost, weight * cost, rtol=1e-12, atol=0.0):
-        return None
-    return Tracking(layout, isinstance(policy, SquashedPolicy), horizon, weight)
+    return Tracking(seen.layout, type(policy) is SquashedPolicy, horizon, weight)
 
 
 def distance_cost(spec: Spec) -> Tensor:

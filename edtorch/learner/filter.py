@@ -15,12 +15,13 @@ w ~ N(0, Q), e ~ N(0, R).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from edtorch.linalg import solve_positive
-from edtorch.model.models import Model
+from edtorch.model.models import DerivativeModel, NextStateModel, dynamics_of
 from edtorch.policy.policies import bounded
 from edtorch.types import Belief, Parameters
 
@@ -53,20 +54,22 @@ class JointFilter:
     that of the weights.
     """
 
-    model: Model
+    model: DerivativeModel | NextStateModel
     deviations: Tensor
     prior: float = 2.0
     disturbance: float = 0.02
+    estimates_state: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not self.prior > 0:
             raise ValueError(f"prior={self.prior}: expected a number > 0")
         if not self.disturbance > 0:
             raise ValueError(f"disturbance={self.disturbance}: expected a number > 0")
-        if self.model.linear_dynamics(self.model.weight.detach(), 1.0) is None:
+        if dynamics_of(self.model, self.model.initial([0]), 1.0) is None:
+            name = type(getattr(self.model, "features", self.model)).__name__
             raise ValueError(
-                "expected model.features=identity or affine, not"
-                f" {type(self.model.features).__name__}: a model linear in state and action"
+                f"expected model.features=identity or affine, not {name}: a model linear in state"
+                " and action"
             )
 
     def initial(self, weight: Tensor) -> Parameters:
@@ -180,7 +183,7 @@ class JointFilter:
         """The mean a tick later, phi, and F = ds'/ds ``[B, n, n]``."""
         start = mean if limit is None else bounded(mean, limit)
         phi = self.model.features(torch.cat([start, action], dim=-1))
-        dynamics = self.model.linear_dynamics(weight, dt)
+        dynamics = self.model.linear_dynamics({"weight": weight}, dt)
         assert dynamics is not None  # checked when it was made
         eye = torch.eye(mean.shape[-1], dtype=mean.dtype, device=mean.device)
         F = eye + dynamics.drift * _seen(mean, limit).unsqueeze(-2)

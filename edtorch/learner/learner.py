@@ -8,7 +8,7 @@ resumption and tests.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol
 
@@ -16,13 +16,12 @@ import torch
 from torch import Tensor
 
 from edtorch.learner.annealing import Annealed
-from edtorch.learner.filter import JointFilter
+from edtorch.learner.estimator import AnyFit, Estimator, estimator_of
 from edtorch.learner.limit import CommandLimit
-from edtorch.learner.observer import Observer, believed
-from edtorch.model.fit import Fit, Fitted
+from edtorch.learner.observer import Observer
 from edtorch.model.models import Model
 from edtorch.model.noise import Noise
-from edtorch.policy.policies import LinearPolicy, bounded, explore
+from edtorch.policy.policies import Policy, explore
 from edtorch.policy.steps import Step, gradient_norm
 from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
 from edtorch.value.unroll import ValuePath
@@ -93,13 +92,6 @@ class AnyLearner(Protocol):
         ...
 
 
-def population(template: torch.nn.Module, size: int) -> Parameters:
-    """The template's parameters, once for each of ``size`` learners."""
-    return {
-        name: p.detach().expand(size, *p.shape).clone() for name, p in template.named_parameters()
-    }
-
-
 def _finite(total: Tensor, *more: Tensor) -> Tensor:
     """Whether every number of a learner is finite, ``[B]``; tensors ``[B, ...]``."""
     # A sum is finite only if all of its terms are (or it overflows, which is trouble as well).
@@ -115,17 +107,6 @@ def _where(mask: Tensor, yes: Parameters, no: Parameters) -> Parameters:
 
 
 @dataclass(frozen=True)
-class _Lesson:
-    """What a transition taught: the fit, its regressor, where the transition ended as far as is
-    known, and the observer's memory."""
-
-    fitted: Fitted
-    phi: Tensor
-    end: Tensor
-    observer: Parameters
-
-
-@dataclass(frozen=True)
 class Learner:
     """A population of learners with one configuration; what they know is in a ``LearnerState``.
 
@@ -137,19 +118,19 @@ class Learner:
     """
 
     model: Model
-    policy: LinearPolicy
-    fit: Fit | JointFilter
+    policy: Policy
+    fit: AnyFit
     noise: Noise | None
     value: ValuePath
     step_rule: Step
     exploration: float | Annealed
     command: CommandLimit | None = None
     observer: Observer | None = None
+    estimator: Estimator = field(init=False)
 
     def __post_init__(self) -> None:
-        filters = self.observer is not None and self.observer.filter is not None
-        if isinstance(self.fit, JointFilter) != filters:
-            raise ValueError("observer: expected one with a filter where the fit is that filter")
+        estimator = estimator_of(self.fit, self.model, self.observer)
+        object.__setattr__(self, "estimator", estimator)
         given = self.exploration
         least = min(given.start, given.final) if isinstance(given, Annealed) else given
         if not least >= 0:
@@ -158,18 +139,19 @@ class Learner:
     def initial(self, seeds: Sequence[int]) -> LearnerState:
         """Learners that know nothing yet, one per seed."""
         size = len(seeds)
-        model = population(self.model, size)
-        device = model["weight"].device
-        policy = population(self.policy, size)
-        noise = {} if self.noise is None else self.noise.initial(model["weight"])
+        model, policy = self.model.initial(seeds), self.policy.initial(seeds)
+        zeros, device = self.model.period.new_zeros, self.model.period.device
+        noise: Parameters = {}
+        if self.noise is not None:
+            noise = self.noise.initial(zeros(size, self.model.states, self.model.regressors))
         tick = torch.zeros(size, dtype=torch.int64, device=device)
         observer: Parameters = {}
         if self.observer is not None:
-            observer = self.observer.initial(model["weight"].new_zeros(size, self.model.states))
+            observer = self.observer.initial(zeros(size, self.model.states))
         return LearnerState(
             model=model,
             policy=policy,
-            fit=self.fit.initial(model["weight"]),
+            fit=self.estimator.initial(model),
             noise=noise,
             limit=self._limit(model, policy, noise, tick),
             step=self.step_rule.initial(policy),
@@ -183,17 +165,16 @@ class Learner:
         """New episodes for those that are ``fresh`` ``[B]``, from observations ``[B, n]``."""
         if self.observer is None:
             return state
-        fit = state.fit
-        if isinstance(self.fit, JointFilter):
-            fit = _where(fresh, self.fit.begun(fit), fit)
         return replace(
-            state, observer=self.observer.begin(state.observer, fresh, observation), fit=fit
+            state,
+            observer=self.observer.begin(state.observer, fresh, observation),
+            fit=self.estimator.begin(state.fit, fresh),
         )
 
     @property
     def needs_autograd(self) -> bool:
         """Whether torch's differentiation must be at work."""
-        return self.value.needs_autograd
+        return self.value.needs_autograd or self.estimator.needs_autograd
 
     def _limit(
         self, model: Parameters, policy: Parameters, noise: Parameters, ticks: Tensor
@@ -234,27 +215,28 @@ class Learner:
             state = replace(state, observer=observer)
 
         # 1, 2: the model and its noise.
-        lesson = self._lesson(state, transition, unit)
-        fitted, phi = lesson.fitted, lesson.phi
-        old = state.model["weight"]
+        lesson = self.estimator.learn(state, transition, unit)
         noise = state.noise
         if self.noise is not None:
-            squared = self.model.residual_noise(fitted.residual, transition.dt)
-            noise = self.noise.update(noise, squared, phi, state.fit, unit)
+            squared = self.model.residual_noise(lesson.residual, transition.dt)
+            noise = self.noise.update(noise, squared, lesson.phi, state.fit, unit)
         fit_ok = _finite(
-            fitted.weight, *fitted.memory.values(), *noise.values(), *lesson.observer.values()
+            *lesson.parameters.values(),
+            *lesson.memory.values(),
+            *noise.values(),
+            *lesson.observer.values(),
         )
         learn = transition.valid & fit_ok
         unbroken = fit_ok & (state.sound_ticks == state.tick) & transition.valid
         learned = replace(
             state,
-            model=state.model | {"weight": select(learn, fitted.weight, old)},
-            fit=_where(learn, fitted.memory, state.fit),
+            model=_where(learn, lesson.parameters, state.model),
+            fit=_where(learn, lesson.memory, state.fit),
             noise=_where(learn, noise, state.noise),
             tick=state.tick + transition.valid,
             observer=_where(learn, lesson.observer, state.observer),
         )
-        error = fitted.residual.abs().mean(-1)
+        error = lesson.residual.abs().mean(-1)
         if not improve:
             learned = replace(learned, sound_ticks=state.sound_ticks + unbroken)
             finite = torch.stack([sound, fit_ok, torch.ones_like(sound)])
@@ -277,33 +259,3 @@ class Learner:
         learned = replace(learned, limit=_where(transition.valid, limit, state.limit))
         finite = torch.stack([sound, fit_ok, value_ok])
         return learned, Metrics(here.value, size, error, finite, here.first_floored)
-
-    def _lesson(self, state: LearnerState, transition: Transition, unit: Tensor) -> _Lesson:
-        """Step 1: what the model learns of the transition."""
-        if isinstance(self.fit, JointFilter) and self.observer is not None:
-            found = self.fit.update(
-                state.model["weight"],
-                state.fit,
-                self.observer.belief(state.observer),
-                state.limit.get("limit"),
-                transition.action,
-                transition.next_state,
-                transition.dt,
-            )
-            observer = believed(state.observer, found.belief)
-            fitted = Fitted(found.weight, found.memory, found.residual)
-            return _Lesson(fitted, found.phi, found.belief.mean, observer)
-        assert not isinstance(self.fit, JointFilter)  # checked when it was made
-        seen = self._seen(state, transition)
-        target = self.model.target(seen)
-        phi = self.model.regressor(seen)
-        fitted = self.fit.update(state.model["weight"], state.fit, phi, target, unit)
-        return _Lesson(fitted, phi, seen.next_state, state.observer)
-
-    def _seen(self, state: LearnerState, transition: Transition) -> Transition:
-        """The transition as the model sees it: as far as it went, from within the bounds."""
-        if not state.limit:
-            return transition
-        start = bounded(transition.state, state.limit["limit"])
-        end = start + self.model.displacement(transition)
-        return replace(transition, state=start, next_state=end)

@@ -24,7 +24,7 @@ from torch import Tensor
 from edtorch.learner.annealing import Annealed
 from edtorch.model.models import Model
 from edtorch.model.noise import Noise
-from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.policies import Policy
 from edtorch.types import Parameters
 from edtorch.value.linear.loop import linear_loop
 
@@ -83,7 +83,7 @@ class Safe:
 
     ramp: Ramp
     model: Model
-    policy: LinearPolicy
+    policy: Policy
     noise: Noise | None
     dt: float
     steps: int
@@ -113,15 +113,12 @@ class Safe:
             raise ValueError(f"deviations={self.deviations}: expected a constant rule for nu~")
         if self.steps < 1:
             raise ValueError(f"steps={self.steps}: expected at least one")
-        loop = linear_loop(*self._templates(), self.dt)
+        first = (self.model.initial([0]), self.policy.initial([0]))
+        loop = linear_loop(self.model, self.policy, *first, self.dt)
         if loop.augmented:
             raise ValueError("features: expected a linear model and policy, without a constant")
-        rest = torch.arange(self.ramp.states, device=self.model.weight.device) != self.ramp.index
-        object.__setattr__(self, "rest", rest.to(self.model.weight.dtype))
-
-    def _templates(self) -> tuple[Model, LinearPolicy, Parameters, Parameters]:
-        model, policy = self.model.weight.detach(), self.policy.weight.detach()
-        return self.model, self.policy, {"weight": model}, {"weight": policy}
+        rest = torch.arange(self.ramp.states, device=self.model.period.device) != self.ramp.index
+        object.__setattr__(self, "rest", rest.to(self.model.period.dtype))
 
     def __call__(
         self, model: Parameters, policy: Parameters, noise: Parameters, ticks: Tensor

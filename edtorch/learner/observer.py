@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from edtorch.learner.delay import Delay
 from edtorch.learner.filter import JointFilter
-from edtorch.model.models import Model
+from edtorch.model.models import DerivativeModel, NextStateModel
 from edtorch.policy.policies import bounded
 from edtorch.types import Belief, Parameters, Transition, replace, select
 
@@ -29,10 +28,17 @@ class Observer:
     ``parameters``: the weights of the model under ``model``, perhaps a ``limit``.
     """
 
-    model: Model
+    model: DerivativeModel | NextStateModel
     delay: Delay
     filter: JointFilter | None
     dt: Tensor
+
+    def __post_init__(self) -> None:
+        if not getattr(self.model, "linear_in_parameters", False):
+            raise ValueError(
+                f"expected a model linear in features to estimate with, not"
+                f" {type(self.model).__name__}"
+            )
 
     def initial(self, observation: Tensor) -> Parameters:
         """Everybody at the beginning of an episode, from the first observation ``[B, n]``."""
@@ -53,7 +59,7 @@ class Observer:
 
         def move(state: Tensor, action: Tensor) -> Tensor:
             start = state if limit is None else bounded(state, limit)
-            phi = self.model.features(torch.cat([start, action], dim=-1))
+            phi = self.model.phi(start, action)
             return state + self.model.change(weight, phi, start, self.dt)
 
         here = observation if self.filter is None else memory["mean"]

@@ -8,9 +8,17 @@ the state and action variables themselves", section 4).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+
+
+class LinearPart(NamedTuple):
+    """W phi(x) = matrix x + constant: ``[*batch, p, d]``, and ``[*batch, p]`` or None for zero."""
+
+    matrix: Tensor
+    constant: Tensor | None
 
 
 class FeatureMap(nn.Module):
@@ -26,6 +34,10 @@ class FeatureMap(nn.Module):
         self.inputs = inputs
         self.outputs = outputs
 
+    def linear_part(self, weight: Tensor) -> LinearPart | None:
+        """W phi as a linear function of x, weight W ``[*batch, p, k]``; None where it is none."""
+        return None
+
 
 class Identity(FeatureMap):
     """phi(x) = x."""
@@ -37,6 +49,10 @@ class Identity(FeatureMap):
         """``[*batch, d] -> [*batch, d]``."""
         return x
 
+    def linear_part(self, weight: Tensor) -> LinearPart:
+        """W itself."""
+        return LinearPart(weight, None)
+
 
 class Affine(FeatureMap):
     """phi(x) = (1, x)."""
@@ -47,6 +63,10 @@ class Affine(FeatureMap):
     def forward(self, x: Tensor) -> Tensor:
         """``[*batch, d] -> [*batch, 1 + d]``."""
         return torch.cat([torch.ones_like(x[..., :1]), x], dim=-1)
+
+    def linear_part(self, weight: Tensor) -> LinearPart:
+        """The first column of W is the constant."""
+        return LinearPart(weight[..., 1:], weight[..., 0])
 
 
 class Pairwise(FeatureMap):
@@ -107,3 +127,9 @@ class RandomFourier(FeatureMap):
         angle = (x.unsqueeze(-2) * self.frequency.to(x)).sum(-1) + self.phase.to(x)
         waves = angle.cos() * math.sqrt(2 / self.phase.shape[0])
         return torch.cat([torch.ones_like(x[..., :1]), x, waves], dim=-1)
+
+
+def linear_part(features: nn.Module, weight: Tensor) -> LinearPart | None:
+    """``features.linear_part(weight)``, None for a map that does not offer it."""
+    offered = getattr(features, "linear_part", None)
+    return None if offered is None else offered(weight)

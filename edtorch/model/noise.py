@@ -21,7 +21,12 @@ class Noise(Protocol):
     """A rule for nu~."""
 
     is_constant: ClassVar[bool]
-    """Whether nu~ is the same for every state and action."""
+    """Whether nu~ is the same for every state and action.
+
+    Optional: ``needs``, names of what ``update`` reads in the memory of the fit; ``is_quadratic``,
+    that nu~ is nu (1 + ``stretch`` phi' P phi) with ``nu`` and ``P`` its memory, for which
+    ``edtorch.value.linear.ignorance`` has a closed form.
+    """
 
     def initial(self, weight: Tensor) -> Parameters:
         """The memory for models of weights ``[*batch, n, k]``."""
@@ -39,6 +44,15 @@ class Noise(Protocol):
 
     def covariance(self, memory: Parameters, phi: Tensor) -> Tensor:
         """nu~ ``[*batch, n, n]`` at features ``[*batch, k]``."""
+        ...
+
+
+class QuadraticNoise(Noise, Protocol):
+    """A rule with ``is_quadratic``."""
+
+    @property
+    def stretch(self) -> float:
+        """Factor of phi' P phi."""
         ...
 
 
@@ -142,6 +156,8 @@ class BayesianNoise:
     rate: float
     stretch: float = 1.0
     is_constant: ClassVar[bool] = False
+    is_quadratic: ClassVar[bool] = True
+    needs: ClassVar[tuple[str, ...]] = ("P",)
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)

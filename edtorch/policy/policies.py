@@ -2,14 +2,43 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
 
+from edtorch.initial import population
 from edtorch.linalg import matvec
-from edtorch.model.features import Affine, FeatureMap, Identity
+from edtorch.model.features import FeatureMap, linear_part
 from edtorch.types import Parameters
+
+
+class Policy(Protocol):
+    """pi(s) with the parameters of a whole population, ``[B, ...]`` each, by any names.
+
+    Optional members, asked for by ``gain_of`` and ``policy_label``:
+
+    * ``linear_gain(parameters) -> LinearGain | None`` where pi is linear or affine in the state,
+      with ``of_gain(LinearGain) -> Parameters``, which turns a gradient with respect to the gain
+      into one with respect to the parameters.  Closed forms of the value need both;
+    * ``label``: what a saved policy is called.
+
+    ``edtorch.policy.module.ModulePolicy`` makes a policy of any ``nn.Module`` from states to
+    actions.
+    """
+
+    def initial(self, seeds: Sequence[int]) -> Parameters:
+        """The first parameters, one set per seed, a function of that seed alone."""
+        ...
+
+    def action(self, parameters: Parameters, state: Tensor, /) -> Tensor:
+        """``[*more, B, n] -> [*more, B, m]``, both scaled.
+
+        There may be further parameters, which are not the policy's: a ``limit`` ``[B, n]`` bounds
+        what is seen of the state (``edtorch.learner.limit``).
+        """
+        ...
 
 
 class LinearGain(NamedTuple):
@@ -19,11 +48,36 @@ class LinearGain(NamedTuple):
     constant: Tensor | None
 
 
+class GainedPolicy(Policy, Protocol):
+    """A policy that closed forms can use."""
+
+    def linear_gain(self, parameters: Parameters) -> LinearGain | None:
+        """See ``Policy``."""
+        ...
+
+    def of_gain(self, gain: LinearGain) -> Parameters:
+        """See ``Policy``."""
+        ...
+
+
+def gain_of(policy: Policy, parameters: Parameters) -> LinearGain | None:
+    """The policy's linear gain, None where it has none."""
+    offered = getattr(policy, "linear_gain", None)
+    return None if offered is None else offered(parameters)
+
+
+def policy_label(policy: object) -> str:
+    """What a saved policy is called: its ``label``, else its class."""
+    return getattr(policy, "label", type(policy).__name__)
+
+
 class LinearPolicy(nn.Module):
     """pi(s) = theta . phi(s) (section 4), with ``weight`` theta ``[m, k]`` that starts at zero.
 
     states n, actions m; features: a map of n inputs.  The module is a template, as ``LinearModel``.
     """
+
+    linear_in_features = True
 
     def __init__(
         self, states: int, actions: int, features: FeatureMap, dtype: torch.dtype = torch.float64
@@ -36,6 +90,15 @@ class LinearPolicy(nn.Module):
         self.features = features
         self.weight = nn.Parameter(torch.zeros(actions, features.outputs, dtype=dtype))
 
+    @property
+    def label(self) -> str:
+        """Class and feature map."""
+        return f"{type(self).__name__}({type(self.features).__name__})"
+
+    def initial(self, seeds: Sequence[int]) -> Parameters:
+        """The template's parameters, the same for every seed: zero."""
+        return population(self, len(seeds))
+
     def forward(self, state: Tensor) -> Tensor:
         """``[*batch, n] -> [*batch, m]``."""
         return self.action({"weight": self.weight}, state)
@@ -46,16 +109,18 @@ class LinearPolicy(nn.Module):
         A ``limit`` ``[*batch, n]`` among them bounds what is seen of the state
         (``edtorch.learner.limit``).
         """
-        limit = parameters.get("limit")
-        if limit is not None:
-            state = bounded(state, limit)
-        return matvec(parameters["weight"], self.features(state))
+        return matvec(parameters["weight"], self.features(limited(parameters, state)))
 
-    def linear_gain(self, weight: Tensor) -> LinearGain | None:
-        """What the weights ``[*batch, m, k]`` mean if pi is linear or affine in the state."""
-        if isinstance(self.features, Affine):
-            return LinearGain(weight[..., 1:], weight[..., 0])
-        return LinearGain(weight, None) if isinstance(self.features, Identity) else None
+    def linear_gain(self, parameters: Parameters) -> LinearGain | None:
+        """What the ``weight`` ``[*batch, m, k]`` means if pi is linear or affine in the state."""
+        part = linear_part(self.features, parameters["weight"])
+        return None if part is None else LinearGain(part.matrix, part.constant)
+
+    def of_gain(self, gain: LinearGain) -> Parameters:
+        """A gradient with respect to the gain as one with respect to the ``weight``."""
+        if gain.constant is None:
+            return {"weight": gain.state}
+        return {"weight": torch.cat([gain.constant.unsqueeze(-1), gain.state], dim=-1)}
 
 
 class SquashedPolicy(LinearPolicy):
@@ -65,9 +130,15 @@ class SquashedPolicy(LinearPolicy):
         """``[*batch, n] -> [*batch, m]`` in (-1, 1)."""
         return torch.tanh(super().action(parameters, state))
 
-    def linear_gain(self, weight: Tensor) -> LinearGain | None:
+    def linear_gain(self, parameters: Parameters) -> LinearGain | None:
         """None: never linear."""
         return None
+
+
+def limited(parameters: Parameters, state: Tensor) -> Tensor:
+    """The state ``[*batch, n]`` as far as a ``limit`` among the parameters lets it be seen."""
+    limit = parameters.get("limit")
+    return state if limit is None else bounded(state, limit)
 
 
 def bounded(state: Tensor, limit: Tensor) -> Tensor:

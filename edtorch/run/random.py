@@ -10,24 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from edtorch.run.scaled_sim import World
+from edtorch.seeding import Purpose as Purpose
+from edtorch.seeding import stream_key as stream_key
 
 BLOCK = 512
 """Ticks drawn at once.  Part of the stream's definition: another value gives other numbers."""
-
-
-class Purpose(IntEnum):
-    """What a stream is for; each purpose is independent of the others."""
-
-    LEARNING = 0
-    EVALUATION = 1
-    JUDGING = 2
 
 
 @dataclass(frozen=True)
@@ -36,11 +29,6 @@ class Draw:
 
     uniform: Tensor
     normal: Tensor
-
-
-def stream_key(seed: int, purpose: Purpose, episode: int = 0) -> tuple[int, int]:
-    """Key of the stream of a seed; ``episode`` tells fresh evaluation episodes apart."""
-    return seed, (int(purpose) << 32) + episode
 
 
 class Streams:

@@ -15,6 +15,11 @@ class Transform(Protocol):
     """How mean and covariance move through the closed loop mu_pi, and what they earn.
 
     Transforms are pure, differentiable, and take any leading dimensions ``*batch``.
+
+    Optional attributes, False where they are missing: ``exact_for_linear``, that mean and
+    covariance are exact where the closed loop is linear and the noise constant, and the expectation
+    of a quadratic reward is (closed forms then stand for the transform); ``noise_at_mean``, that
+    nu_pi is taken at the mean alone, not averaged over the belief.
     """
 
     @property

@@ -37,6 +37,7 @@ class Cubature:
 
     propagates_covariance = True
     differentiates_reward = False
+    exact_for_linear = True
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """A mean of covariances is one, so all depends on nu."""

@@ -21,6 +21,7 @@ class MeanOnly:
 
     propagates_covariance = False
     differentiates_reward = False
+    exact_for_linear = True
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """The covariance is left as it is."""

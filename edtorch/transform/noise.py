@@ -18,6 +18,7 @@ class ConstantNoise:
 
     cov: Tensor
     positive = True
+    constant = True
 
     def __call__(self, state: Tensor) -> Tensor:
         """``[*more, *batch, n] -> [*more, *batch, n, n]``."""
@@ -43,3 +44,8 @@ def is_positive(noise: StateFunction) -> bool:
     step, which ``PositiveNoise`` saves.
     """
     return bool(getattr(noise, "positive", False))
+
+
+def is_constant(noise: StateFunction) -> bool:
+    """Whether a noise function declares (``constant = True``) that it is the same everywhere."""
+    return bool(getattr(noise, "constant", False))

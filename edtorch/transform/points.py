@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from edtorch.derivatives import StateFunction
-from edtorch.rewards import Reward
+from edtorch.rewards.base import Reward, exact_expectation
 from edtorch.transform.positive import symmetric
 from edtorch.types import Belief
 
@@ -76,6 +76,9 @@ def move(belief: Belief, closed_loop: StateFunction, noise: StateFunction, nodes
 
 
 def reward(reward: Reward, belief: Belief, policy: StateFunction, nodes: Nodes) -> Tensor:
-    """r_pi averaged over the points, ``[*batch]``."""
+    """r_pi averaged over the points, ``[*batch]``, unless the reward knows its expectation."""
+    exact = exact_expectation(reward, belief)
+    if exact is not None:
+        return exact
     points = _points(belief, factor(belief.cov), nodes)
     return _average(nodes.weight, reward(points, policy(points)))

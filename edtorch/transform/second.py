@@ -9,7 +9,7 @@ from torch import Tensor
 
 from edtorch.derivatives import StateFunction, curvature, curvature_products, loop_jacobian
 from edtorch.rewards import Reward, expected_reward
-from edtorch.transform.noise import ConstantNoise
+from edtorch.transform.noise import is_constant
 from edtorch.transform.positive import symmetric
 from edtorch.types import Belief
 
@@ -37,10 +37,11 @@ class SecondOrder:
 
     propagates_covariance = True
     differentiates_reward = True
+    exact_for_linear = True
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """Only without the noise's curvature."""
-        return isinstance(noise, ConstantNoise)
+        return is_constant(noise)
 
     def move(self, belief: Belief, closed_loop: StateFunction, noise: StateFunction) -> Belief:
         """One step; see the class."""
@@ -50,7 +51,7 @@ class SecondOrder:
         bend = torch.einsum("a...ia->...i", products)
         spread = torch.einsum("b...ia,a...jb->...ij", products, products)
         added = noise(mean)
-        if not isinstance(noise, ConstantNoise):
+        if not is_constant(noise):
             added = added + 0.5 * curvature(noise, mean, cov)
         moved = added + jacobian @ cov @ jacobian.mT + 0.5 * spread
         return Belief(closed_loop(mean) + 0.5 * bend, symmetric(moved))

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import torch
 from torch import Tensor
-from torch.func import functional_call
 
-from edtorch.model.models import Model
+from edtorch.model.models import Model, dynamics_of
 from edtorch.model.noise import Noise
-from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.policies import Policy, gain_of
 from edtorch.types import Parameters
 
 
@@ -20,7 +18,7 @@ class ClosedLoop:
     """A model and a policy, each with the parameters of a whole population, over ``dt`` seconds."""
 
     model: Model
-    policy: LinearPolicy
+    policy: Policy
     model_parameters: Parameters
     policy_parameters: Parameters
     dt: float
@@ -31,12 +29,12 @@ class ClosedLoop:
 
     def __call__(self, state: Tensor) -> Tensor:
         """mu_pi(s), ``[*batch, n] -> [*batch, n]``."""
-        return functional_call(self.model, self.model_parameters, (state, self.act(state), self.dt))
+        return self.model.next(self.model_parameters, state, self.act(state), self.dt)
 
     def jacobian(self, state: Tensor) -> Tensor | None:
         """F + G theta ``[*batch, n, n]`` where model and policy are linear in the state or None."""
-        dynamics = self.model.linear_dynamics(self.model_parameters["weight"], self.dt)
-        gain = self.policy.linear_gain(self.policy_parameters["weight"])
+        dynamics = dynamics_of(self.model, self.model_parameters, self.dt)
+        gain = gain_of(self.policy, self.policy_parameters)
         if dynamics is None or gain is None:
             return None
         closed = dynamics.state + dynamics.action @ gain.state
@@ -55,6 +53,6 @@ class LoopNoise:
     def __call__(self, state: Tensor) -> Tensor:
         """``[*batch, n] -> [*batch, n, n]``."""
         model = self.loop.model
-        phi = model.features(torch.cat([state, self.loop.act(state)], dim=-1))
+        phi = model.phi(state, self.loop.act(state))
         cov = model.noise_over(self.rule.covariance(self.memory, phi), self.loop.dt)
         return cov.expand(*state.shape, state.shape[-1])

@@ -18,7 +18,7 @@ from torch.func import grad_and_value
 from edtorch.derivatives import StateFunction
 from edtorch.model.models import Model
 from edtorch.model.noise import Noise
-from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.policies import Policy
 from edtorch.rewards import Reward
 from edtorch.transform import ConstantNoise, Transform, point_belief
 from edtorch.transform.positive import floored
@@ -200,7 +200,7 @@ class Generic:
     """
 
     model: Model
-    policy: LinearPolicy
+    policy: Policy
     reward: Reward
     transform: Transform
     horizon: Horizon
@@ -258,13 +258,15 @@ class Generic:
 
 @dataclass(frozen=True)
 class FromOrigin:
-    """Another path, from the origin of the state space instead of the state of the moment.
+    """Another path, from the origin of the state space instead of the state of the moment, or from
+    the state ``origin`` ``[n]`` that is wanted.
 
     With a covariance to start from, this unrolls a belief over all states near the goal: what is
     learned at each tick is good for every one of them, and not for the present one alone.
     """
 
     path: ValuePath
+    origin: Tensor | None = None
 
     @property
     def needs_autograd(self) -> bool:
@@ -275,4 +277,5 @@ class FromOrigin:
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``ValuePath``; of state only the shape counts."""
-        return self.path(model, policy, noise, torch.zeros_like(state))
+        start = torch.zeros_like(state) if self.origin is None else self.origin.expand_as(state)
+        return self.path(model, policy, noise, start)

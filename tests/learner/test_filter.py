@@ -11,7 +11,7 @@ from torch import Tensor
 from edtorch.learner.filter import JointFilter
 from edtorch.model.features import Affine, Identity, Pairwise
 from edtorch.model.fit import RecursiveLeastSquares
-from edtorch.model.models import DerivativeModel, Model, NextStateModel
+from edtorch.model.models import DerivativeModel, NextStateModel
 from edtorch.types import Belief
 from tests.systems import f64, normal
 
@@ -76,7 +76,9 @@ def test_its_covariance_settles_where_riccatis_equation_stands_still() -> None:
 
 
 @pytest.mark.parametrize("kind", [DerivativeModel, NextStateModel])
-def test_without_errors_it_is_recursive_least_squares(kind: type[Model]) -> None:
+def test_without_errors_it_is_recursive_least_squares(
+    kind: type[DerivativeModel | NextStateModel],
+) -> None:
     g = torch.Generator().manual_seed(2)
     n, m, disturbance, prior = 2, 1, 0.2, 3.0
     model = kind(n, m, Affine(n + m), torch.zeros(n, dtype=torch.float64))

@@ -9,14 +9,16 @@ import torch
 from torch.func import jacrev
 
 from edtorch.model.features import Affine, Identity, Pairwise
-from edtorch.model.models import DerivativeModel, Model, NextStateModel
+from edtorch.model.models import DerivativeModel, NextStateModel
 from edtorch.types import Transition
 from tests.systems import normal
 
 DT = torch.tensor(0.01, dtype=torch.float64)
 
 
-def make(kind: type[Model], *, period: float = 0.0) -> Model:
+def make(
+    kind: type[DerivativeModel | NextStateModel], *, period: float = 0.0
+) -> DerivativeModel | NextStateModel:
     periods = torch.tensor([0.0, period], dtype=torch.float64)
     return kind(2, 1, Identity(3), periods)
 
@@ -47,7 +49,7 @@ def test_targets_of_the_two_forms() -> None:
 
 
 @pytest.mark.parametrize("kind", [DerivativeModel, NextStateModel])
-def test_linear_dynamics_are_the_jacobians(kind: type[Model]) -> None:
+def test_linear_dynamics_are_the_jacobians(kind: type[DerivativeModel | NextStateModel]) -> None:
     model = make(kind)
     g = torch.Generator().manual_seed(0)
     weight, s, a = normal(g, 2, 3), normal(g, 2), normal(g, 1)
@@ -55,7 +57,7 @@ def test_linear_dynamics_are_the_jacobians(kind: type[Model]) -> None:
     def advance(state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         return torch.func.functional_call(model, {"weight": weight}, (state, action, 0.05))
 
-    dynamics = model.linear_dynamics(weight, 0.05)
+    dynamics = model.linear_dynamics({"weight": weight}, 0.05)
     assert dynamics is not None
     assert torch.allclose(dynamics.state, jacrev(advance, argnums=0)(s, a), rtol=1e-13)
     assert torch.allclose(dynamics.action, jacrev(advance, argnums=1)(s, a), rtol=1e-13)
@@ -89,15 +91,15 @@ def test_noise_per_second_and_per_step() -> None:
 
 def test_no_linear_dynamics_with_other_features() -> None:
     model = DerivativeModel(2, 1, Pairwise(3), torch.zeros(2, dtype=torch.float64))
-    assert model.linear_dynamics(model.weight, 0.05) is None
+    assert model.linear_dynamics({"weight": model.weight}, 0.05) is None
 
 
 @pytest.mark.parametrize("kind", [DerivativeModel, NextStateModel])
-def test_affine_dynamics_have_a_constant(kind: type[Model]) -> None:
+def test_affine_dynamics_have_a_constant(kind: type[DerivativeModel | NextStateModel]) -> None:
     model = kind(2, 1, Affine(3), torch.zeros(2, dtype=torch.float64))
     g = torch.Generator().manual_seed(0)
     weight, s, a = normal(g, 2, 4), normal(g, 2), normal(g, 1)
-    dynamics = model.linear_dynamics(weight, 0.05)
+    dynamics = model.linear_dynamics({"weight": weight}, 0.05)
     assert dynamics is not None and dynamics.constant is not None
     found = torch.func.functional_call(model, {"weight": weight}, (s, a, 0.05))
     built = s + dynamics.drift @ s + dynamics.action @ a + dynamics.constant

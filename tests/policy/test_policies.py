@@ -22,14 +22,17 @@ def test_linear_and_squashed() -> None:
 
 def test_only_the_plain_linear_policy_has_a_gain() -> None:
     weight = torch.ones(2, 3)
-    gain = LinearPolicy(3, 2, Identity(3)).linear_gain(weight)
+    gain = LinearPolicy(3, 2, Identity(3)).linear_gain({"weight": weight})
     assert gain is not None and gain.state is weight and gain.constant is None
-    assert SquashedPolicy(3, 2, Identity(3)).linear_gain(weight) is None
-    assert LinearPolicy(3, 2, Pairwise(3)).linear_gain(weight) is None
+    assert SquashedPolicy(3, 2, Identity(3)).linear_gain({"weight": weight}) is None
+    assert LinearPolicy(3, 2, Pairwise(3)).linear_gain({"weight": weight}) is None
     bias = torch.arange(8.0).reshape(2, 4)
-    affine = LinearPolicy(3, 2, Affine(3)).linear_gain(bias)
+    affine = LinearPolicy(3, 2, Affine(3)).linear_gain({"weight": bias})
     assert affine is not None and affine.constant is not None
     assert torch.equal(affine.state, bias[:, 1:]) and torch.equal(affine.constant, bias[:, 0])
+    # A gradient with respect to the gain goes back to where the gain came from.
+    assert torch.equal(LinearPolicy(3, 2, Affine(3)).of_gain(affine)["weight"], bias)
+    assert torch.equal(LinearPolicy(3, 2, Identity(3)).of_gain(gain)["weight"], weight)
 
 
 def test_exploration_has_the_deviation_asked_for() -> None:

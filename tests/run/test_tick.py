@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace as with_fields
 from functools import partial
+from typing import Any, cast
 
 import torch
 from torch.utils import _pytree as pytree
@@ -59,8 +60,8 @@ def test_a_tick_needs_no_other_device() -> None:
     assert isinstance(learner.value, LinearMeanOnly)
     learner = with_fields(
         learner,
-        model=learner.model.to(meta),
-        policy=learner.policy.to(meta),
+        model=cast(Any, learner.model).to(meta),
+        policy=cast(Any, learner.policy).to(meta),
         value=to_device(learner.value, meta),
     )
     tick = Tick(learner, world, most_rides=1)

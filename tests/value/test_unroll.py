@@ -30,8 +30,8 @@ def nonlinear(transform: Transform, kind: type, steps: int = 6) -> Generic:
 def parameters(path: Generic, batch: int) -> tuple[dict, dict, dict, Tensor]:
     g = torch.Generator().manual_seed(1)
     return (
-        {"weight": 0.3 * normal(g, batch, *path.model.weight.shape)},
-        {"weight": 0.5 * normal(g, batch, *path.policy.weight.shape)},
+        {"weight": 0.3 * normal(g, batch, *path.model.initial([0])["weight"].shape[1:])},
+        {"weight": 0.5 * normal(g, batch, *path.policy.initial([0])["weight"].shape[1:])},
         {"nu": random_cost(g, 3).expand(batch, 3, 3).clone()},
         normal(g, batch, 3),
     )

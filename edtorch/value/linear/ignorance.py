@@ -27,11 +27,10 @@ import torch
 from torch import Tensor
 
 from edtorch.model.models import Model
-from edtorch.model.noise import BayesianNoise
-from edtorch.policy.policies import LinearPolicy
-from edtorch.rewards import QuadraticReward
+from edtorch.model.noise import QuadraticNoise
+from edtorch.policy.policies import GainedPolicy
 from edtorch.types import Belief, Parameters
-from edtorch.value.linear.loop import closed, linear_loop
+from edtorch.value.linear.loop import closed, linear_loop, loop_cost, priced_actions
 from edtorch.value.unroll import Horizon, ValueGradient
 
 
@@ -117,33 +116,39 @@ def at_mean(loop: UncertainLoop, start: Belief, weights: Sequence[float]) -> Pas
     return Passes(weighted, through, ignorance)
 
 
+NoisePasses = Callable[[UncertainLoop, Belief, Sequence[float]], Passes]
+"""``averaged`` or ``at_mean``."""
+
+
 @dataclass(frozen=True)
 class LinearIgnorance:
     """A ``ValuePath`` for linear model and policy, quadratic reward and Bayesian noise.
 
-    passes: ``averaged`` or ``at_mean``, as the transform takes the noise; the rest as in
-    ``LinearMoment``.
+    passes: ``averaged`` or ``at_mean``, as the transform takes the noise; costs as in
+    ``edtorch.value.linear.loop.loop_cost``; the rest as in ``LinearMoment``.
     """
 
     model: Model
-    policy: LinearPolicy
-    reward: QuadraticReward
+    policy: GainedPolicy
     horizon: Horizon
-    noise: BayesianNoise
+    noise: QuadraticNoise
     start_cov: Tensor
-    passes: Callable[[UncertainLoop, Belief, Sequence[float]], Passes]
+    passes: NoisePasses
+    state_cost: Tensor
+    action_cost: Tensor | None
+    cross: Tensor | None = None
+    augmented: bool = False
     needs_autograd: bool = False
 
     def __call__(
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.value.unroll.ValuePath``; ValueError if the closed loop is not linear."""
-        linear = linear_loop(self.model, self.policy, model, policy, self.horizon.dt)
+        linear = linear_loop(
+            self.model, self.policy, model, policy, self.horizon.dt, self.augmented
+        )
         theta, shape = linear.theta, linear.drift.shape
-        costs_actions, R = self.reward.costs_actions, self.reward.action_cost
-        cost = linear.square(self.reward.state_cost).expand(shape)
-        if costs_actions:
-            cost = cost + theta.mT @ R @ theta
+        cost = loop_cost(self.state_cost, self.action_cost, self.cross, theta)
         # What the model's features have of (1, s) or s: all but the last m, which are the actions.
         seen = noise["P"].shape[-1] - theta.shape[-2]
         rows = torch.eye(shape[-1], dtype=cost.dtype, device=cost.device)[shape[-1] - seen :]
@@ -160,7 +165,6 @@ class LinearIgnorance:
         gradient = linear.G.mT @ found.through
         known = loop.P @ loop.features @ found.ignorance
         gradient = gradient - 2 * known[..., seen:, :]
-        if costs_actions:
-            gradient = gradient - 2 * R @ theta @ found.weighted
+        gradient = priced_actions(gradient, self.action_cost, self.cross, theta, found.weighted)
         value = -(cost * found.weighted).sum((-1, -2))
-        return ValueGradient(value, {"weight": linear.of_weight(gradient)})
+        return ValueGradient(value, self.policy.of_gain(linear.gain(gradient)))

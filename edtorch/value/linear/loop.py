@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from edtorch.model.models import Model
-from edtorch.policy.policies import LinearPolicy
+from edtorch.model.models import Model, dynamics_of
+from edtorch.policy.policies import LinearGain, Policy, gain_of
 from edtorch.types import Parameters
 
 
@@ -35,10 +35,11 @@ class LinearLoop:
         """A cost or a covariance: ``[*batch, n, n] -> [*batch, N, N]``."""
         return squared(matrix) if self.augmented else matrix
 
-    def of_weight(self, gradient: Tensor) -> Tensor:
-        """dV/dtheta ``[B, m, N]`` as the gradient of the policy's weight."""
-        dropped = self.augmented and not self.policy_has_constant
-        return gradient[..., 1:] if dropped else gradient
+    def gain(self, gradient: Tensor) -> LinearGain:
+        """dV/dtheta ``[B, m, N]`` as the gradient with respect to the policy's gain."""
+        if not self.augmented:
+            return LinearGain(gradient, None)
+        return LinearGain(gradient[..., 1:], gradient[..., 0] if self.policy_has_constant else None)
 
 
 def squared(matrix: Tensor) -> Tensor:
@@ -46,27 +47,65 @@ def squared(matrix: Tensor) -> Tensor:
     return pad(matrix, (1, 0, 1, 0))
 
 
+def loop_cost(
+    state_cost: Tensor, action_cost: Tensor | None, cross: Tensor | None, theta: Tensor
+) -> Tensor:
+    """C = Q + theta'R theta + N theta + theta'N' ``[B, N, N]``, the cost along a = theta s.
+
+    state_cost Q ``[N, N]``, action_cost R ``[m, m]`` and cross N ``[N, m]``, None for zero.
+    """
+    cost = state_cost.expand(theta.shape[0], *state_cost.shape)
+    if action_cost is not None:
+        cost = cost + theta.mT @ action_cost @ theta
+    if cross is not None:
+        both = cross @ theta
+        cost = cost + both + both.mT
+    return cost
+
+
+def priced_actions(
+    gradient: Tensor,
+    action_cost: Tensor | None,
+    cross: Tensor | None,
+    theta: Tensor,
+    moment: Tensor,
+) -> Tensor:
+    """dV/dtheta with what the actions cost of themselves: ``gradient`` - 2 (R theta + N') M.
+
+    moment M ``[B, N, N]``: the weighted sum of the second moments; the rest as in ``loop_cost``.
+    """
+    if action_cost is not None:
+        gradient = gradient - 2 * action_cost @ theta @ moment
+    if cross is not None:
+        gradient = gradient - 2 * cross.mT @ moment
+    return gradient
+
+
 def linear_loop(
     model: Model,
-    policy: LinearPolicy,
+    policy: Policy,
     model_parameters: Parameters,
     policy_parameters: Parameters,
     dt: float,
+    augmented: bool = False,
 ) -> LinearLoop:
-    """The loop over ``dt`` seconds; ValueError if model or policy is not linear in the state."""
-    weight = policy_parameters["weight"]
-    dynamics = model.linear_dynamics(model_parameters["weight"], dt)
-    gain = policy.linear_gain(weight)
+    """The loop over ``dt`` seconds; ValueError if model or policy is not linear in the state.
+
+    augmented: of (1, state) even if nothing in the loop is constant, for rewards in which something
+    is.
+    """
+    dynamics, gain = dynamics_of(model, model_parameters, dt), gain_of(policy, policy_parameters)
     if dynamics is None or gain is None:
         raise ValueError("the closed loop is not linear in the state: no closed form")
     drift, G, constant = dynamics
     affine = gain.constant is not None
-    if constant is None and not affine:
+    if constant is None and not affine and not augmented:
         return LinearLoop(drift, G, gain.state, False, False)
     if constant is None:
         constant = torch.zeros_like(drift[..., 0])
-    # The weights of an affine policy have the constant first, as the augmented state has the 1.
-    theta = weight if affine else pad(weight, (1, 0))
+    theta = pad(gain.state, (1, 0))
+    if gain.constant is not None:
+        theta = torch.cat([gain.constant.unsqueeze(-1), gain.state], dim=-1)
     rows = torch.cat([constant.unsqueeze(-1), drift], dim=-1)
     return LinearLoop(pad(rows, (0, 0, 1, 0)), pad(G, (0, 0, 1, 0)), theta, True, affine)
 

@@ -22,9 +22,9 @@ import torch
 from torch import Tensor
 
 from edtorch.model.models import Model
-from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.policies import GainedPolicy
 from edtorch.types import Parameters
-from edtorch.value.linear.loop import closed, linear_loop
+from edtorch.value.linear.loop import closed, linear_loop, loop_cost, priced_actions
 from edtorch.value.unroll import ValueGradient
 
 
@@ -68,17 +68,17 @@ def mean_value_and_gradient(
     state_cost: Tensor,
     action_cost: Tensor | None,
     weights: Tensor,
+    cross: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """V = -sum_tau w_tau s_tau'(Q + theta'R theta)s_tau along s' = A s, and dV/dtheta.
 
     A = I + drift + G theta; drift ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start
     ``[B, n]``, state_cost Q ``[n, n]``, action_cost R ``[m, m]`` or None for zero, weights w
-    ``[T]``.  Returns V ``[B]`` and its gradient ``[B, m, n]``.
+    ``[T]``, cross N ``[n, m]`` or None for zero (2 s'N a is a cost as well).  Returns V ``[B]`` and
+    its gradient ``[B, m, n]``.
     """
     steps = len(weights)
-    cost = state_cost.expand(drift.shape)
-    if action_cost is not None:
-        cost = cost + theta.mT @ action_cost @ theta
+    cost = loop_cost(state_cost, action_cost, cross, theta)
     powers = powers_of_two(closed(drift, G, theta), steps)
     states = forward_states(powers, start, steps)
     before, after = states[..., :-1], states[..., 1:]
@@ -89,9 +89,9 @@ def mean_value_and_gradient(
     # a batch of one, and the digits of a learner would depend on its company.
     through = (adjoints.unsqueeze(-2) * before.unsqueeze(-3)).sum(-1)
     gradient = torch.bmm(G.mT, through)
-    if action_cost is not None:
+    if action_cost is not None or cross is not None:
         second_moment = ((after * weights).unsqueeze(-2) * after.unsqueeze(-3)).sum(-1)
-        gradient = gradient - 2 * action_cost @ theta @ second_moment
+        gradient = priced_actions(gradient, action_cost, cross, theta, second_moment)
     return value, gradient
 
 
@@ -100,19 +100,21 @@ class LinearMeanOnly:
     """A ``ValuePath`` for linear model and policy, quadratic reward, mean-only transform.
 
     dt: seconds of one step of the unroll; solve: (drift, G, theta, start) to value and gradient,
-    ``mean_value_and_gradient`` or another way to the same, with costs and weights bound.
+    ``mean_value_and_gradient`` or another way to the same, with costs and weights bound; augmented:
+    whether these costs are of (1, state).
     """
 
     model: Model
-    policy: LinearPolicy
+    policy: GainedPolicy
     dt: float
     solve: Callable[[Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
+    augmented: bool = False
     needs_autograd: bool = False
 
     def __call__(
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.value.unroll.ValuePath``; ValueError if the closed loop is not linear."""
-        loop = linear_loop(self.model, self.policy, model, policy, self.dt)
+        loop = linear_loop(self.model, self.policy, model, policy, self.dt, self.augmented)
         value, gradient = self.solve(loop.drift, loop.G, loop.theta, loop.start(state))
-        return ValueGradient(value, {"weight": loop.of_weight(gradient)})
+        return ValueGradient(value, self.policy.of_gain(loop.gain(gradient)))

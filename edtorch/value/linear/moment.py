@@ -21,9 +21,9 @@ from torch import Tensor
 
 from edtorch.model.models import Model
 from edtorch.model.noise import Noise
-from edtorch.policy.policies import LinearPolicy
+from edtorch.policy.policies import GainedPolicy
 from edtorch.types import Belief, Parameters
-from edtorch.value.linear.loop import closed, linear_loop
+from edtorch.value.linear.loop import closed, linear_loop, loop_cost, priced_actions
 from edtorch.value.unroll import ValueGradient
 
 
@@ -50,19 +50,18 @@ def moment_value_and_gradient(
     state_cost: Tensor,
     action_cost: Tensor | None,
     weights: Tensor,
+    cross: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """V = -sum_tau w_tau tr((Q + theta'R theta) X_tau) and dV/dtheta.
 
     A = I + drift + G theta; drift ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start: a
     belief of ``[B, n]``, noise nu over one step ``[B, n, n]``, state_cost Q ``[n, n]``, action_cost
-    R ``[m, m]`` or None for zero, weights w ``[T]``.  Returns V ``[B]`` and its gradient
-    ``[B, m, n]``.
+    R ``[m, m]`` or None for zero, weights w ``[T]``, cross N ``[n, m]`` or None for zero (2
+    s'N a is a cost as well).  Returns V ``[B]`` and its gradient ``[B, m, n]``.
     """
     factors = weights.tolist()
     steps = len(factors)
-    cost = state_cost.expand(drift.shape)
-    if action_cost is not None:
-        cost = cost + theta.mT @ action_cost @ theta
+    cost = loop_cost(state_cost, action_cost, cross, theta)
     A = closed(drift, G, theta)
     transposed = A.mT
     first = start.mean.unsqueeze(-1) * start.mean.unsqueeze(-2) + start.cov
@@ -75,9 +74,7 @@ def moment_value_and_gradient(
         adjoint = torch.baddbmm(cost, torch.bmm(transposed, adjoint), A, beta=factors[tau - 1])
         through = torch.baddbmm(through, adjoint, products[tau - 1])
     gradient = -2 * torch.bmm(G.mT, through)
-    if action_cost is not None:
-        gradient = gradient - 2 * action_cost @ theta @ weighted
-    return value, gradient
+    return value, priced_actions(gradient, action_cost, cross, theta, weighted)
 
 
 @dataclass(frozen=True)
@@ -90,19 +87,20 @@ class LinearMoment:
     """
 
     model: Model
-    policy: LinearPolicy
+    policy: GainedPolicy
     dt: float
     solve: Callable[[Tensor, Tensor, Tensor, Belief, Tensor], tuple[Tensor, Tensor]]
     noise: Noise
     start_cov: Tensor
+    augmented: bool = False
     needs_autograd: bool = False
 
     def __call__(
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``edtorch.value.unroll.ValuePath``; ValueError if the closed loop is not linear."""
-        loop = linear_loop(self.model, self.policy, model, policy, self.dt)
+        loop = linear_loop(self.model, self.policy, model, policy, self.dt, self.augmented)
         nu = self.model.noise_over(self.noise.covariance(noise, state), self.dt)
         start = Belief(loop.start(state), loop.square(self.start_cov).expand(loop.drift.shape))
         value, gradient = self.solve(loop.drift, loop.G, loop.theta, start, loop.square(nu))
-        return ValueGradient(value, {"weight": loop.of_weight(gradient)})
+        return ValueGradient(value, self.policy.of_gain(loop.gain(gradient)))

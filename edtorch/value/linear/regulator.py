@@ -12,15 +12,15 @@ The direction towards it replaces the gradient; ``edtorch.policy.steps.FullStep`
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from edtorch.linalg import solve_positive
 from edtorch.model.models import Model
-from edtorch.policy.policies import LinearPolicy
-from edtorch.rewards import QuadraticReward
+from edtorch.policy.policies import GainedPolicy
+from edtorch.rewards import QuadraticForm, Reward, quadratic_form_of
 from edtorch.types import Parameters
 from edtorch.value.linear.loop import linear_loop
 from edtorch.value.unroll import Horizon, ValueGradient
@@ -54,19 +54,26 @@ class Regulator:
     """
 
     model: Model
-    policy: LinearPolicy
-    reward: QuadraticReward
+    policy: GainedPolicy
+    reward: Reward
     horizon: Horizon
     start_cov: Tensor
     needs_autograd: bool = False
+    form: QuadraticForm = field(init=False)
 
     def __post_init__(self) -> None:
-        smallest = torch.linalg.eigvalsh(self.reward.action_cost)[0].item()
+        form = quadratic_form_of(self.reward)
+        if form is None or not form.is_plain:
+            raise ValueError(
+                "direction=regulator: expected a quadratic reward of weights alone, without target,"
+                " cross or linear terms"
+            )
+        object.__setattr__(self, "form", form)
+        smallest = torch.linalg.eigvalsh(form.action)[0].item()
         if not smallest > 0:
             raise ValueError("direction=regulator: expected a cost > 0 of every action (reward)")
-        weights = {"weight": self.model.weight.detach()}
-        gains = {"weight": self.policy.weight.detach()}
-        if linear_loop(self.model, self.policy, weights, gains, self.horizon.dt).augmented:
+        first = (self.model.initial([0]), self.policy.initial([0]))
+        if linear_loop(self.model, self.policy, *first, self.horizon.dt).augmented:
             raise ValueError("direction=regulator: expected model and policy without a constant")
 
     def __call__(
@@ -74,9 +81,7 @@ class Regulator:
     ) -> ValueGradient:
         """See ``ValuePath``; the gradient is theta_0 - theta."""
         loop = linear_loop(self.model, self.policy, model, policy, self.horizon.dt)
-        theta, P = first_gain(
-            loop.drift, loop.G, self.reward.state_cost, self.reward.action_cost, self.horizon
-        )
+        theta, P = first_gain(loop.drift, loop.G, self.form.state, self.form.action, self.horizon)
         start = state.unsqueeze(-1) * state.unsqueeze(-2) + self.start_cov
         value = -(P * start).sum((-1, -2))
-        return ValueGradient(value, {"weight": theta - loop.theta})
+        return ValueGradient(value, self.policy.of_gain(loop.gain(theta - loop.theta)))

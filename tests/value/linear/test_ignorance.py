@@ -35,7 +35,7 @@ def test_constant_terms_are_states_that_stay_one(
 def check_paths(case: LinearCase, n: int, transform: Transform) -> None:
     """The closed form against the generic path, with a start belief."""
     g = torch.Generator().manual_seed(0)
-    k = case.generic.model.weight.shape[-1]
+    k = case.generic.model.regressors
     noise = {
         "nu": random_cost(g, n).expand(3, n, n).clone(),
         "P": random_cost(g, k).expand(3, k, k).clone(),

@@ -49,7 +49,7 @@ def test_leads_to_the_first_gain_of_the_regulator() -> None:
     F = torch.eye(N) + HORIZON.dt * model["weight"][..., :N]
     G = HORIZON.dt * model["weight"][..., N:]
     # One step is weighed by its seconds, all costs alike: the gain does not notice.
-    Q, R = regulator.reward.state_cost, regulator.reward.action_cost
+    Q, R = regulator.form.state, regulator.form.action
     wanted = finite_horizon_lqr(F, G, Q, R, steps=HORIZON.steps, discount=0.9**0.05)
     assert torch.allclose(there["weight"], wanted.gains[0], rtol=1e-9, atol=1e-12)
     _, P = first_gain(HORIZON.dt * model["weight"][..., :N], G, Q, R, HORIZON)
@@ -82,14 +82,14 @@ def test_the_gradient_vanishes_there() -> None:
     drift, G = (0.05 * part for part in model["weight"].split([N, M], dim=-1))
     A = torch.eye(N) + drift + G @ theta
     end = A @ one.start_cov @ A.mT
-    last = 0.05 * (theta.mT @ one.reward.action_cost @ theta * end).sum()
+    last = 0.05 * (theta.mT @ one.form.action @ theta * end).sum()
     (own,) = torch.autograd.grad(-last, theta)
     assert torch.allclose(found, own, atol=1e-12)
 
 
 def test_refuses_actions_that_cost_nothing_and_constants() -> None:
     regulator, _, _ = problem()
-    free = QuadraticReward(regulator.reward.state_cost, torch.zeros(M, M, dtype=torch.float64))
+    free = QuadraticReward(regulator.form.state, torch.zeros(M, M, dtype=torch.float64))
     with pytest.raises(ValueError, match="expected a cost > 0 of every action"):
         Regulator(regulator.model, regulator.policy, free, HORIZON, regulator.start_cov)
     affine = LinearPolicy(N, M, Affine(N))
