@@ -11,6 +11,7 @@ from edtorch.app.checks import at_least
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.limit import variant
+from edtorch.app.reward import QUADRATIC
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import Coordinates, JointCoordinates
 from edtorch.inverse.features import FEATURES, InverseFeatures
@@ -21,7 +22,6 @@ from edtorch.inverse.learner import InverseLearner, Trust
 from edtorch.inverse.policy import InversePolicy
 from edtorch.inverse.unroll import InverseUnroll, InverseValue
 from edtorch.model.noise import Noise
-from edtorch.transform import FirstOrder, MeanOnly
 from edtorch.value.choose import Method
 from edtorch.value.unroll import Horizon
 from sims.base import Jointed, Sim
@@ -102,7 +102,7 @@ def _value(config: DictConfig, policy: InversePolicy, horizon: Horizon) -> Inver
             f"unroll.start_deviation={deviation}: expected 0 with this transform, which leaves the"
             " covariance out; transform=first takes it in"
         )
-    written_out = isinstance(transform, MeanOnly | FirstOrder)
+    written_out = getattr(transform, "at_mean", False)
     if method == "closed_form" and not written_out:
         raise ConfigError(
             "unroll.path=closed_form: expected transform=mean_only or first with an inverse"
@@ -136,11 +136,10 @@ def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> I
         )
     if config.log.value_error:
         raise ConfigError("log.value_error=true: expected false with an inverse policy")
-    for key in ("state", "action"):
-        if config.reward[key]:
+    for key, value in config.reward.items():
+        if key != "goal" and value and value != QUADRATIC:
             raise ConfigError(
-                f"reward.{key}={dict(config.reward[key])}: expected nothing but reward.goal with an"
-                " inverse policy"
+                f"reward.{key}={value}: expected nothing but reward.goal with an inverse policy"
             )
     with under("unroll"):
         unroll = config.unroll

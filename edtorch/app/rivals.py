@@ -29,7 +29,7 @@ from edtorch.app.errors import ConfigError, under
 from edtorch.app.inverse import has_inverse
 from edtorch.app.limit import variant
 from edtorch.app.policy import build_linear_policy
-from edtorch.app.reward import build_reward
+from edtorch.app.reward import build_plain_reward
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.signals import Stop
 from edtorch.app.summary import summary_table
@@ -91,7 +91,7 @@ def build_rival(config: DictConfig) -> RivalSetup:
     dtype = rival_dtype(config.compute)
     sim = build_sim(config.domain)
     evaluated = build_sim(changed_domain(config.domain, config.eval.domain, "eval.domain"))
-    reward, threshold = build_reward(config.reward, sim, dtype), config.eval.success_return
+    reward, threshold = build_plain_reward(config.reward, sim, dtype), config.eval.success_return
     with under("observation"):
         world, calm = (
             World(s, dtype, None, config.observation.unwrap, reward, threshold)

@@ -285,12 +285,38 @@ class PolicyConfig:
 
 @dataclass
 class RewardConfig:
-    """Minus a weighted sum of squares, physical units: weights by name of state and action, and
-    that of the distance from the goal, in a domain that has one."""
+    """``edtorch.rewards.QuadraticReward`` by names of components, physical units: minus weights of
+    squared deviations of state and action from their target (a number, or another component), of
+    products (cross: triples NAME, NAME, WEIGHT), of components themselves (linear), and of the
+    squared distance from the goal, in a domain that has one."""
 
+    _target_: str = "edtorch.rewards.QuadraticReward"
     state: dict[str, float] = field(default_factory=dict)
     action: dict[str, float] = field(default_factory=dict)
     goal: float = 0.0
+    target: dict[str, Any] = field(default_factory=dict)
+    cross: list[Any] = field(default_factory=list)
+    linear: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class SaturatingRewardConfig:
+    """``edtorch.rewards.SaturatingReward``: widths and targets by names of components, physical
+    units."""
+
+    _target_: str = "edtorch.rewards.SaturatingReward"
+    width: dict[str, float] = field(default_factory=dict)
+    target: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class GradientFitConfig:
+    """``edtorch.model.fit_gradient.GradientFit``."""
+
+    _target_: str = MISSING
+    rate: float = 0.01
+    recent: int = 200
+    steps: int = 1
 
 
 @dataclass
@@ -570,7 +596,7 @@ class TrainConfig:
     fit: Any = MISSING
     policy: Any = MISSING
     inverse: Any = None  # as in the runs of before there was such a group: none
-    reward: RewardConfig = field(default_factory=RewardConfig)
+    reward: Any = MISSING
     noise: Any = MISSING
     transform: Any = MISSING
     unroll: UnrollConfig = field(default_factory=UnrollConfig)
@@ -638,6 +664,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "bayesian_schema": BayesianFitConfig,
         "ridge_schema": RidgeConfig,
         "decaying_fit_schema": DecayingFitConfig,
+        "gradient_schema": GradientFitConfig,
     },
     "inverse": {
         "none_schema": NoInverseConfig,
@@ -646,6 +673,10 @@ SCHEMAS: dict[str, dict[str, type]] = {
     },
     "noise": {"noise_schema": NoiseConfig},
     "policy": {"policy_schema": PolicyConfig},
+    "reward": {
+        "quadratic_schema": RewardConfig,
+        "saturating_schema": SaturatingRewardConfig,
+    },
     "transform": {
         "transform_schema": TransformConfig,
         "gauss_hermite_schema": GaussHermiteConfig,

@@ -24,6 +24,7 @@ from edtorch.app.errors import ConfigError, guarded, refusing
 from edtorch.app.folders import remove_empty
 from edtorch.app.job import Job
 from edtorch.app.offline import build_offline, is_offline, run_offline
+from edtorch.app.options import with_options_named
 from edtorch.app.outputs import open_sinks, save_learned, save_results
 from edtorch.app.random_search import build_search, is_rival, is_search, run_search
 from edtorch.app.rivals import build_rival, run_rival
@@ -167,8 +168,19 @@ def _task(config: DictConfig) -> float:
 def main() -> None:
     """Entry point of ``edtorch-train``."""
     schemas.register()
-    run = hydra.main(version_base="1.3", config_path="pkg://conf", config_name="train")(_task)
-    sys.exit(guarded("edtorch-train", run))
+    typed = list(sys.argv)
+
+    def task(config: DictConfig) -> float:
+        sys.argv[:] = typed
+        return _task(config)
+
+    run = hydra.main(version_base="1.3", config_path="pkg://conf", config_name="train")(task)
+
+    def start() -> None:
+        sys.argv[1:] = with_options_named(typed[1:])
+        run()
+
+    sys.exit(guarded("edtorch-train", start))
 
 
 if __name__ == "__main__":

@@ -147,7 +147,7 @@ def tracking(
         # Not a subclass, which may act otherwise.
         and type(policy) in (LinearPolicy, SquashedPolicy)
         and not transform.propagates_covariance
-        and getattr(transform, "exact_for_linear", False)
+        and getattr(transform, "at_mean", False)
         and horizon.first_step == 1
     )
     form = quadratic_form_of(reward)

@@ -18,8 +18,8 @@ class Transform(Protocol):
 
     Optional attributes, False where they are missing: ``exact_for_linear``, that mean and
     covariance are exact where the closed loop is linear and the noise constant, and the expectation
-    of a quadratic reward is (closed forms then stand for the transform); ``noise_at_mean``, that
-    nu_pi is taken at the mean alone, not averaged over the belief.
+    of a quadratic reward is (closed forms then stand for the transform); ``at_mean``, that
+    everything is taken at the mean, to first order: mu_pi, its Jacobian, nu_pi.
     """
 
     @property

@@ -25,7 +25,7 @@ class FirstOrder:
     propagates_covariance = True
     differentiates_reward = True
     exact_for_linear = True
-    noise_at_mean = True
+    at_mean = True
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """J cov J' is positive semidefinite, so all depends on nu."""

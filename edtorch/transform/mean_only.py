@@ -22,6 +22,7 @@ class MeanOnly:
     propagates_covariance = False
     differentiates_reward = False
     exact_for_linear = True
+    at_mean = True
 
     def keeps_positive(self, noise: StateFunction) -> bool:
         """The covariance is left as it is."""

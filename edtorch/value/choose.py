@@ -99,7 +99,7 @@ def choose_path(
     elif noise.is_constant:
         path, compiled, what = linear.moment(costs, noise, start.detach())
     else:
-        passes = at_mean if getattr(transform, "noise_at_mean", False) else averaged
+        passes = at_mean if getattr(transform, "at_mean", False) else averaged
         rule = cast(QuadraticNoise, noise)
         path, compiled, what = linear.ignorance(costs, rule, start.detach(), passes)
     reason = f"closed form ({loop} closed loop, quadratic reward, {what})"
