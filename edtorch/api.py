@@ -274,7 +274,7 @@ def _with_reward(
 
 
 def _reward_node(reward: Reward) -> dict[str, Any]:
-    return {"_target_": "edtorch.rewards.Physical", "function": Given(reward)}
+    return {"given": Given(reward)}
 
 
 def _check_copies(config: DictConfig, seeds: int) -> None:

@@ -69,6 +69,16 @@ def argument(key: str, value: Any) -> Any:
     return value
 
 
+def is_given(config: Any) -> bool:
+    """Whether a node holds an object, or the name of one that it held (``edtorch.app.given``)."""
+    return isinstance(config, DictConfig) and "given" in config
+
+
+def given_part(group: str, config: DictConfig) -> Any:
+    """The object; ConfigError where only its name is left."""
+    return argument(group, config.given if isinstance(config.given, Given) else config)
+
+
 def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
     """An object from a ``_target_`` node; keys that its constructor does not know are refused.
 

@@ -7,7 +7,7 @@ from typing import Any, cast
 import torch
 from omegaconf import DictConfig
 
-from edtorch.app.construct import accepts, construct, target_class
+from edtorch.app.construct import accepts, construct, given_part, is_given, target_class
 from edtorch.app.errors import ConfigError
 from edtorch.app.features import features_of, without_features
 from edtorch.app.inverse import build_controller, has_inverse
@@ -34,16 +34,22 @@ def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> Policy
     """
     n, m = len(sim.spec.state), len(sim.spec.action)
     more: dict[str, Any] = {"states": n, "actions": m, "spec": sim.spec, "dtype": dtype}
-    if accepts(target_class("policy", config), "features"):
+    if is_given(config):
+        part = given_part("policy", config)
+    elif accepts(target_class("policy", config), "features"):
         more["features"], rest = features_of("policy", config, n, sim.spec, seed)
+        part = construct("policy", rest, **more)
     else:
-        rest = without_features("policy", config)
-    part = construct("policy", rest, **more)
+        part = construct("policy", without_features("policy", config), **more)
     try:
         return as_policy(part, n, m, dtype)
     except (ValueError, TypeError, RuntimeError) as error:
         why = " ".join(str(error).split())
-        raise ConfigError(f"policy._target_={config._target_}: {why}") from error
+        raise ConfigError(f"{_called(config)}: {why}") from error
+
+
+def _called(config: DictConfig) -> str:
+    return "policy" if is_given(config) else f"policy._target_={config._target_}"
 
 
 def build_linear_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> LinearPolicy:
@@ -51,7 +57,7 @@ def build_linear_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) ->
     policy = build_policy(config, sim, dtype, seed)
     if not getattr(policy, "linear_in_features", False):
         raise ConfigError(
-            f"policy._target_={config._target_}: expected a policy linear in features with a rival,"
+            f"{_called(config)}: expected a policy linear in features with a rival,"
             " policy=linear or squashed"
         )
     return cast(LinearPolicy, policy)

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor, nn
 
 from edtorch.app.checks import at_least
-from edtorch.app.construct import construct, known_keys
+from edtorch.app.construct import construct, given_part, is_given, known_keys
 from edtorch.app.errors import ConfigError, under
 from edtorch.inverse.forward import distance_cost
 from edtorch.rewards import PhysicalReward, QuadraticReward, Reward, quadratic_form_of
@@ -34,6 +34,8 @@ def build_reward(
     A quadratic one by name; any other callable by its ``_target_``, of physical states
     ``[*batch, n]`` and actions ``[*batch, m]``.  Raises ConfigError.
     """
+    if is_given(config):
+        return physical_reward(given_part("reward", config), sim.spec, dtype, device)
     if is_named(config):
         return _quadratic(config, sim.spec, dtype, device)
     found = _callable(config, sim.spec, dtype, device)
@@ -54,7 +56,7 @@ def build_plain_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticRe
 
 def is_named(config: Any) -> bool:
     """Whether the reward is the quadratic one, given by names of components."""
-    return config.get("_target_") in (None, QUADRATIC)
+    return not is_given(config) and config.get("_target_") in (None, QUADRATIC)
 
 
 def physical_reward(
@@ -71,6 +73,8 @@ def physical_reward(
     """
     state = torch.tensor([q.scale for q in spec.state], dtype=dtype, device=device)
     action = torch.tensor([q.scale for q in spec.action], dtype=dtype, device=device)
+    if not callable(found):
+        raise ConfigError(f"{what}: {type(found).__name__} cannot be called (state, action)")
     if isinstance(found, nn.Module):
         found = deepcopy(found).to(device, dtype)
     reward = PhysicalReward(found, state, action)
