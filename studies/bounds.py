@@ -54,6 +54,12 @@ def ratios(n: int, systems: int, samples: int) -> dict[str, list[float]]:
     return found
 
 
+def insert(page: File, mark: str, table: str) -> None:
+    """Replace what stands between two marks on a page."""
+    before, _, after = page.read_text(encoding="utf-8").split(mark)
+    page.write_text(f"{before}{mark}\n{table}\n{mark}{after}", encoding="utf-8")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="How tight the corrected bounds are.")
     parser.add_argument("--json", type=File)
@@ -78,9 +84,7 @@ def main() -> None:
     }
     write_json(options.json, content)
     if options.docs is not None:
-        before, _, after = options.docs.read_text(encoding="utf-8").split(MARK)
-        text = f"{before}{MARK}\n" + "\n".join(lines) + f"\n{MARK}{after}"
-        options.docs.write_text(text, encoding="utf-8")
+        insert(options.docs, MARK, "\n".join(lines))
 
 
 if __name__ == "__main__":

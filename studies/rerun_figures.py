@@ -18,8 +18,8 @@ from edtorch.report.runs import Run
 from edtorch.run.checkpoint import load_policy, policy_dtype
 from edtorch.run.evaluation import evaluate
 from edtorch.run.scaled_sim import World
-from studies.episodes import episodes_of
-from studies.rerun_material import FIGURE_2, FIGURE_3, Material
+from studies.cardea_figure import episodes_of
+from studies.rerun_methods import FIGURE_2, FIGURE_3, Material
 
 STARTS = 1000
 """Of which the median of the shortest possible times is taken."""

@@ -1,9 +1,10 @@
-"""The rerun's tables of methods: what each paid to its milestones, beside what is published."""
+"""The rerun's runs, and its tables of methods: cost of each milestone beside published figures."""
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from edtorch.report import samples
@@ -13,7 +14,32 @@ from edtorch.report.groups import Group, places
 from edtorch.report.quantities import TITLES, TO_GOAL, TO_STABLE, Quantity, never_rode, sample
 from edtorch.report.runs import Run
 from edtorch.report.tables import Table, as_markdown
-from studies.rerun_material import Material
+
+FIGURE_2 = "figure_2/bicycle_paper"
+FIGURE_3 = ("figure_3/cardea_paper", "figure_3/cardea")
+
+
+@dataclass(frozen=True)
+class Material:
+    """runs: by row, ``TABLE/NAME``, those that there are; missing: by cell, why it is not there."""
+
+    runs: Mapping[str, Sequence[Run]]
+    missing: Mapping[str, str]
+
+    @property
+    def methods(self) -> list[str]:
+        """The rows of the table of methods."""
+        rows = [row for row in self.runs if row.startswith("methods/")]
+        return [FIGURE_2, *rows] if FIGURE_2 in self.runs else rows
+
+    def lost(self, row: str) -> dict[str, str]:
+        """Of a row, the cells that are not there."""
+        return {
+            title: why
+            for title, why in self.missing.items()
+            if title == row or title.startswith(f"{row}/")
+        }
+
 
 HOW = (
     "Median over the seeds with its 95 % bootstrap interval"

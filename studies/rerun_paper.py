@@ -24,9 +24,8 @@ from edtorch.report.statistics import Spread
 from edtorch.report.tables import Table, as_markdown
 from edtorch.run.checkpoint import write_text
 from studies.footnote_2 import Falls, zero_policy_falls
-from studies.rerun_material import FIGURE_2, Material
+from studies.rerun_methods import FIGURE_2, Material, estimates, learnt, methods
 from studies.rerun_methods import blocks as blocks_of_methods
-from studies.rerun_methods import estimates, learnt, methods
 
 PUBLISHED = Path(__file__).with_name("published.yaml")
 COMMAND = "python -m studies.rerun"

@@ -1,27 +1,32 @@
-"""What each transform's moments, rewards and values miss, and what it costs.
+"""Errors of each transform's moments, rewards and values, and its cost.
 
 Random smooth systems (tests/smooth_systems.py), the truth by coupled Monte Carlo.  Errors are
 medians over the systems; gain is first's error over the transform's, the median over the systems,
 and for the value (`medians`) also the ratio of the medians.  Cost is
 CPU time of value and gradient with respect to the policy, transforms taking turns within one run,
-as a ratio to ``first``.  Writes JSON beside the table:
+as a ratio to ``first``.  Writes JSON beside the table; with ``--docs`` it only writes the table of
+an existing JSON file into docs/theory.md:
 
     python -m studies.transforms [--sizes 1 2 5 14] [--systems 60] [--json FILE]
+    python -m studies.transforms --json runs/reference/transforms.json --docs docs/theory.md
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import statistics
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.func import grad_and_value
 
 from benchmarks.timing import interleaved, write_json
+from edtorch.report.tables import Table, as_markdown
 from edtorch.transform import (
     Cubature,
     FirstOrder,
@@ -34,8 +39,10 @@ from edtorch.transform import (
 )
 from edtorch.types import Trajectory
 from edtorch.value.unroll import Horizon, propagate
+from studies.bounds import insert
 from tests.smooth_systems import SmoothSystem, Truth, coupled_monte_carlo, random_system
 
+MARK = "<!-- transforms table -->"
 QUANTITIES = ("mean", "cov", "reward", "value")
 
 
@@ -153,6 +160,24 @@ def measure(n: int, options: argparse.Namespace) -> dict:
     }
 
 
+def markdown(results: dict[str, Any]) -> str:
+    """A row per dimension and transform."""
+    header = "n|transform|mean|covariance|reward|value|value, ratio of medians|cost".split("|")
+    rows: list[tuple[str, ...]] = []
+    for n, result in results.items():
+        for name, row in result["transforms"].items():
+            if name == "first":
+                continue
+            gains = (f"{row['gain'][q]:.3g}" for q in ("mean", "cov", "reward", "value"))
+            ratio, cost = row["ratio_of_medians"]["value"], row["cost"]
+            rows.append((n, f"`{name}`", *gains, f"{ratio:.3g}", f"{cost:.2f}"))
+    ratios = ", ".join(
+        f"{result['indicator_ratio']['median']:.2f} (n = {n})" for n, result in results.items()
+    )
+    note = f"Value error estimate over true value error of `first`, median: {ratios}."
+    return as_markdown(Table("", tuple(header), tuple(rows), note))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--sizes", type=int, nargs="+", default=[1, 2, 5, 14])
@@ -162,7 +187,13 @@ def main() -> None:
     parser.add_argument("--v0", type=float, default=0.05)
     parser.add_argument("--noise", choices=("gaussian", "uniform"), default="gaussian")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--docs", type=Path, help="a page to write the table of FILE into")
     options = parser.parse_args()
+    if options.docs is not None:
+        content = json.loads(options.json.read_text(encoding="utf-8"))
+        made = f"Made by `{content['command']}`, torch {content['torch']}."
+        insert(options.docs, MARK, f"{markdown(content['results'])}\n\n{made}")
+        return
     torch.set_num_threads(1)
     table = {}
     for n in options.sizes:

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from studies import ablation
-from studies.ablation import CELLS, read_cells
-from studies.cells import BadCells, wanted
+from studies.cells import BadCells, read_plan, wanted
 from tests.studies.in_process import in_this_process
 
+CELLS = Path(ablation.__file__).with_suffix(".yaml")
 LINEAR = """
 seeds: 2
 common: [domain.dt=0.1, train.seconds=3, eval.episodes=1, log.tensorboard=false, log.figures=false]
@@ -27,7 +27,7 @@ tables:
 
 @pytest.mark.oracle
 def test_every_cell_composes_to_a_configuration_of_its_own() -> None:
-    cells = read_cells(CELLS.read_text())
+    cells = read_plan(CELLS.read_text(), Path("out")).cells
     found = [json.dumps(wanted(cell), sort_keys=True) for cell in cells]
     tables = [cell.table for cell in cells]
     assert len(set(zip(tables, found, strict=True))) == len(cells)
@@ -35,7 +35,7 @@ def test_every_cell_composes_to_a_configuration_of_its_own() -> None:
 
 
 def test_cells() -> None:
-    plain, larger = read_cells(LINEAR, seeds=5)
+    plain, larger = read_plan(LINEAR, Path("out"), seeds=5).cells
     assert plain.title == "added/plain" and plain.baseline
     assert not larger.baseline
     assert larger.overrides[-2:] == ("step.alpha=0.7", "seeds=5")
@@ -46,18 +46,19 @@ def test_cells() -> None:
     ("before", "after", "why"),
     [
         ("seeds: 2", "seeds: 0", r"seeds=0: expected an integer >= 1"),
-        ("seeds: 2", "sedes: 2", r"sedes: unknown; expected seeds, common and tables"),
+        ("seeds: 2", "sedes: 2", r"sedes: unknown; expected seeds, common, quick, tables"),
         ("cells:", "cell:", r"tables\.added\.cell: unknown"),
         ("[step.alpha=0.7]", "step.alpha=0.7", r"tables\.added\.larger_step=.*: expected a list"),
         ("[step.alpha=0.7]", "[step]", r"larger_step=\['step'\]: expected a list of KEY=VALUE"),
         ("larger_step", "../x", r"cells\.\.\./x: expected a name of letters"),
         ("larger_step", "plain", r"baseline: expected one name that is not among the cells"),
         ("{plain: []}", "{}", r"baseline=\{\}: expected a mapping with at least one name"),
+        ("{plain: []}", "{a: [], b: []}", r"baseline: expected one name that is not among the"),
     ],
 )
 def test_refuses_bad_cells(before: str, after: str, why: str) -> None:
     with pytest.raises(BadCells, match=why):
-        read_cells(LINEAR.replace(before, after))
+        read_plan(LINEAR.replace(before, after), Path("out"))
 
 
 @pytest.mark.experiment

@@ -15,17 +15,16 @@ from hydra.errors import HydraException
 
 from edtorch.report.proportions import Proportion
 from edtorch.report.runs import load
-from studies import rerun_paper
-from studies.cells import BadCells, is_done, wanted
+from studies import rerun, rerun_paper
+from studies.cells import QUICK_APART, BadCells, Plan, is_done, read_plan, wanted
 from studies.footnote_2 import Falls, zero_policy_falls
-from studies.rerun import CELLS, QUICK_APART, Plan, read_plan
-from studies.rerun_material import Material
-from studies.rerun_methods import estimates, learnt
+from studies.rerun_methods import Material, estimates, learnt
 from studies.rerun_paper import PUBLISHED, beside, footnote_1, write
 from tests.app.conftest import environment
 from tests.report.folders import learners, spread
 from tests.report.folders import write as write_run
 
+CELLS = Path(rerun.__file__).with_suffix(".yaml")
 OUT = Path("out")
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference" / "paper"
 SMALL = """
@@ -33,42 +32,45 @@ common: [log.tensorboard=false]
 quick: [compute.compile=off]
 tables:
   data:
-    falls: {full: [seeds=4], quick: [seeds=2]}
+    cells:
+      falls: {full: [seeds=4], quick: [seeds=2]}
   methods:
-    alone: {full: [seeds=9]}
-    apart: {apart: 5, full: [train.seconds=7]}
-    after: {full: ["offline.data={data/falls}"]}
+    cells:
+      alone: {full: [seeds=9]}
+      apart: {apart: 5, full: [train.seconds=7]}
+      after: {full: ["offline.data={data/falls}"]}
 """
 
 
 def test_a_plan() -> None:
-    plan = read_plan(SMALL, OUT, quick=False)
-    assert [cell.title for cell in plan.first] == [
+    plan = read_plan(SMALL, OUT)
+    assert [cell.title for cell in plan.cells] == [
         "data/falls",
         "methods/alone",
         *(f"methods/apart/seed_{k}" for k in range(5)),
+        "methods/after",
     ]
-    assert plan.first[3].overrides == (
-        "train.seconds=7",
+    assert plan.cells[3].overrides == (
         "log.tensorboard=false",
+        "train.seconds=7",
         "seeds=1",
         "seed=1",
     )
-    (after,) = plan.then
-    assert after.overrides[0] == "offline.data=out/data/falls"
+    assert plan.second == {"methods/after"}
+    assert plan.cells[-1].overrides[-1] == "offline.data=out/data/falls"
 
 
 def test_a_quick_plan() -> None:
     plan = read_plan(SMALL, OUT, quick=True)
-    falls = plan.first[0].overrides
-    assert falls == ("seeds=4", "log.tensorboard=false", "compute.compile=off", "seeds=2")
+    falls = plan.cells[0].overrides
+    assert falls == ("log.tensorboard=false", "seeds=4", "compute.compile=off", "seeds=2")
     assert len(plan.rows["methods/apart"]) == QUICK_APART
 
 
 @pytest.mark.parametrize(
     ("before", "after", "why"),
     [
-        ("common:", "comon:", r"^comon: unknown; expected common, quick, tables"),
+        ("common:", "comon:", r"^comon: unknown; expected seeds, common, quick"),
         ("{full: [seeds=9]}", "{ful: [seeds=9]}", r"tables\.methods\.alone\.ful: unknown"),
         ("{full: [seeds=9]}", "{quick: [seeds=9]}", r"alone\.full=None: expected a list"),
         ("apart: 5", "apart: 0", r"tables\.methods\.apart\.apart=0: expected an integer >= 1"),
@@ -78,7 +80,7 @@ def test_a_quick_plan() -> None:
 )
 def test_refuses_a_bad_plan(before: str, after: str, why: str) -> None:
     with pytest.raises(BadCells, match=why):
-        read_plan(SMALL.replace(before, after), OUT, quick=False)
+        read_plan(SMALL.replace(before, after), OUT)
 
 
 def _composed(plan: Plan) -> dict[str, Any]:
@@ -94,7 +96,7 @@ def _composed(plan: Plan) -> dict[str, Any]:
 
 @pytest.mark.oracle
 def test_every_cell_composes_to_a_configuration_of_its_own() -> None:
-    full = _composed(read_plan(CELLS.read_text(), OUT, quick=False))
+    full = _composed(read_plan(CELLS.read_text(), OUT))
     assert len({json.dumps(found, sort_keys=True) for found in full.values()}) == len(full)
     for name in ("five_features", "six_features"):
         found = full[f"footnote_1/{name}"]
@@ -110,7 +112,7 @@ def test_every_cell_composes_to_a_configuration_of_its_own() -> None:
 
 
 def test_what_is_published_is_of_rows_that_there_are() -> None:
-    rows = {row.partition("/")[2] for row in read_plan(CELLS.read_text(), OUT, quick=False).rows}
+    rows = {row.partition("/")[2] for row in read_plan(CELLS.read_text(), OUT).rows}
     assert yaml.safe_load(PUBLISHED.read_text())["rows"].keys() <= rows
 
 
@@ -142,7 +144,7 @@ def test_footnote_1_beside_other_figures() -> None:
 @pytest.mark.oracle
 def test_the_committed_footnote_1() -> None:
     """Of the cells as they stand, 100,000 policies each: the figures of the preset."""
-    plan = read_plan(CELLS.read_text(), REFERENCE, quick=False)
+    plan = read_plan(CELLS.read_text(), REFERENCE)
     runs = {row: [load(REFERENCE / row)] for row in plan.rows if row.startswith("footnote_1/")}
     for row in runs:
         (cell,) = plan.rows[row]
