@@ -48,7 +48,7 @@ def lived(
     world: World, learner: Learner, seeds: Sequence[int], seconds: float
 ) -> tuple[Training, Recorded]:
     """Learners whose policy is never improved, and what they have lived through."""
-    recorder = Recorder(learner, world, len(seeds))
+    recorder = Recorder(world, len(seeds))
     budget = Budget(seconds=seconds)
     training = Training(learner, world, seeds, budget, schedule=NEVER, recorder=recorder)
     while not training.done:

@@ -54,7 +54,7 @@ class Job:
         self.timing = Timing()
         self.recorder: Recorder | None = None
         if config.log.transitions:
-            self.recorder = Recorder(setup.learner, setup.world, len(setup.seeds))
+            self.recorder = Recorder(setup.world, len(setup.seeds))
             logger.info("every transition is kept, and the tick is not compiled for it")
         self.training = Training(
             setup.learner,

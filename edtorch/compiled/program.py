@@ -47,7 +47,7 @@ class _Graph(torch.nn.Module):
     def forward(self, leaves: list[Tensor], uniform: Tensor, normal: Tensor, clock: Tensor) -> Any:
         here: Population = pytree.tree_unflatten([first(leaf) for leaf in leaves], self.spec)
         draw = Draw(first(uniform), first(normal))
-        here, outcome = self.tick.live(here, draw, clock, improve=self.improve)
+        here, _, outcome = self.tick.live(here, draw, clock, improve=self.improve)
         world, earned = here.worlds.world, here.worlds.earned
         here = self.tick.turn(here, outcome, draw, clock)
         return [stored(leaf) for leaf in pytree.tree_leaves(here)], outcome, stored(world), earned

@@ -24,7 +24,10 @@ from edtorch.policy.policies import explore
 from edtorch.rivals.base import LinearSearch, Problem
 from edtorch.rivals.lqr import check_regulated
 from edtorch.run.random import learning_streams
-from edtorch.types import Transition, select
+from edtorch.run.rollout import Happened, rollout
+from edtorch.run.scaled_sim import World
+from edtorch.run.tick import Tick
+from edtorch.types import Parameters, Transition, replace, select
 from edtorch.value.linear.lqr import doubled_lqr
 from sims.base import Outcome
 
@@ -65,8 +68,56 @@ class AdaptiveLqr:
         return AdaptiveLqrSearch(self, problem)
 
 
+@dataclass(frozen=True)
+class _Regulating:
+    """The regulators of all seeds (``edtorch.run.tick.Source``).
+
+    They remember gain ``[S, m, n]`` (scaled), model W ``[S, n, n + m]`` (per second), and what the
+    estimator remembers.
+    """
+
+    settings: AdaptiveLqr
+    world: World
+    model: DerivativeModel
+    fit: RecursiveLeastSquares
+    costs: tuple[Tensor, Tensor]
+
+    def initial(self, seeds: int) -> Parameters:
+        """Without knowledge."""
+        n, m = self.model.states, self.model.actions
+        gain = torch.zeros(seeds, m, n, dtype=torch.float64)
+        model = torch.zeros(seeds, n, n + m, dtype=torch.float64)
+        return {"gain": gain, "model": model, **self.fit.initial(model)}
+
+    def begin(self, memory: Parameters, fresh: Tensor, observation: Tensor, /) -> Parameters:
+        """Nothing is forgotten."""
+        return memory
+
+    def act(self, memory: Parameters, observation: Tensor, normal: Tensor, /) -> Tensor:
+        """The regulator's action, and a little noise."""
+        action = matvec(memory["gain"].to(self.world.dtype), observation)
+        return explore(action, normal, self.settings.exploration)
+
+    def step(
+        self, memory: Parameters, transition: Transition, /, *, improve: bool
+    ) -> tuple[Parameters, None]:
+        """Fit, then solve; a gain that is not finite leaves the one before."""
+        learns = transition.valid
+        phi = torch.cat((transition.state, transition.action), dim=-1).to(torch.float64)
+        y = self.model.target(transition).to(torch.float64)
+        fitted = self.fit.update(memory["model"], memory, phi, y, transition.dt)
+        new = {"model": fitted.weight, **fitted.memory}
+        memory = memory | {name: select(learns, p, memory[name]) for name, p in new.items()}
+        n = transition.state.shape[-1]
+        drift, G = (self.world.dt * memory["model"]).split((n, phi.shape[-1] - n), dim=-1)
+        F = drift + torch.eye(n, dtype=drift.dtype)
+        gain = doubled_lqr(F, G, *self.costs, doublings=self.settings.doublings)
+        good = learns & gain.isfinite().all(-1).all(-1)
+        return memory | {"gain": select(good, gain, memory["gain"])}, None
+
+
 class AdaptiveLqrSearch(LinearSearch):
-    """All seeds in lockstep; a piece of work is some seconds of riding.
+    """All seeds in lockstep; a piece of work is some simulated seconds.
 
     Seeds that are over stand still; those that go on have then lived for equally many ticks.
     """
@@ -75,27 +126,23 @@ class AdaptiveLqrSearch(LinearSearch):
         world, count = problem.world, len(problem.seeds)
         n, m = len(world.spec.state), len(world.spec.action)
         super().__init__(problem)
-        self._settings, self._world = settings, world
-        self._fit = settings.fit()
-        self._model = DerivativeModel(n, m, Identity(n + m), period=world.period)
+        model = DerivativeModel(n, m, Identity(n + m), period=world.period)
+        reward = problem.reward
+        costs = (reward.state_cost.to(torch.float64), reward.action_cost.to(torch.float64))
+        source = _Regulating(settings, world, model, settings.fit(), costs)
         self._streams = learning_streams(world, problem.seeds)
-        self._costs = tuple(
-            c.to(torch.float64) for c in (problem.reward.state_cost, problem.reward.action_cost)
-        )
+        self._tick = Tick(source, world)
+        start = world.initial(self._streams.at(0).uniform)
+        self._here = self._tick.first(source.initial(count), start)
+        self._weight = self._here.learners["gain"]
         self._ticks_of_a_piece = max(1, round(settings.piece / world.dt))
         self._clock = 0
-        self._state = world.initial(self._streams.at(0).uniform)
-        self._observation = world.observe(self._state)
-        self._ticks = torch.zeros(count, dtype=torch.int64)
-        self._model_weight = torch.zeros(count, n, n + m, dtype=torch.float64)
-        self._memory = self._fit.initial(self._model_weight)
-        self._weight = torch.zeros(count, m, n, dtype=torch.float64)
         self._lived = [0 for _ in problem.seeds]
 
     @property
     def model(self) -> Tensor:
         """W ``[S, n, n + m]``, per second."""
-        return self._model_weight
+        return self._here.learners["model"]
 
     @property
     def done(self) -> list[bool]:
@@ -104,57 +151,32 @@ class AdaptiveLqrSearch(LinearSearch):
 
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
         """Some seconds."""
-        active = torch.tensor(list(going))
+        rows = [row for row, goes in enumerate(going) if goes]
+        worlds = replace(self._here.worlds, active=torch.tensor(list(going)))
+        self._here = replace(self._here, worlds=worlds)
         paused = time.monotonic()
         with torch.inference_mode():
-            for _ in range(self._ticks_of_a_piece):
-                self._tick(active)
+            for happened in rollout(
+                self._tick,
+                self._here,
+                self._streams.at,
+                clock=self._clock,
+                ticks=self._ticks_of_a_piece,
+            ):
+                self._clock, self._here = happened.clock, happened.population
+                self._weight = self._here.learners["gain"]
+                self._pay(rows, happened)
                 if time.monotonic() - paused > SECONDS_BETWEEN_PAUSES:
                     paused = time.monotonic()
                     pause()
 
-    def _tick(self, active: Tensor) -> None:
-        world = self._world
-        self._clock += 1
-        draw = self._streams.at(self._clock)
-        action = matvec(self._weight.to(world.dtype), self._observation)
-        action = world.clip(explore(action, draw.normal, self._settings.exploration))
-        moved = world.step(self._state, action, draw.uniform)
-        seen = world.observe(moved, self._observation)
-        self._learn(active, action, seen)
-        self._ticks = self._ticks + active
-        ended = active & (world.outcome(moved, self._ticks) != int(Outcome.RUNNING))
-        self._pay(active, ended, moved)
-        self._state = select(active, moved, self._state)
-        self._observation = select(active, seen, self._observation)
-        if bool(ended.any()):
-            self._state = world.restart(self._state, ended, draw.uniform)
-            self._observation = select(ended, world.observe(self._state), self._observation)
-            self._ticks = torch.where(ended, 0, self._ticks)
-
-    def _learn(self, active: Tensor, action: Tensor, seen: Tensor) -> None:
-        """Fit, then solve; a gain that is not finite leaves the one before."""
-        world = self._world
-        transition = Transition(self._observation, action, seen, world.seconds, active)
-        phi = torch.cat((self._observation, action), dim=-1).to(torch.float64)
-        y = self._model.target(transition).to(torch.float64)
-        fitted = self._fit.update(self._model_weight, self._memory, phi, y, world.seconds)
-        self._model_weight = select(active, fitted.weight, self._model_weight)
-        self._memory = {k: select(active, p, self._memory[k]) for k, p in fitted.memory.items()}
-        n = seen.shape[-1]
-        drift, G = (world.dt * self._model_weight).split((n, phi.shape[-1] - n), dim=-1)
-        F = drift + torch.eye(n, dtype=drift.dtype)
-        gain = doubled_lqr(F, G, *self._costs, doublings=self._settings.doublings)
-        good = active & gain.isfinite().all(-1).all(-1)
-        self._weight = select(good, gain, self._weight)
-
-    def _pay(self, active: Tensor, ended: Tensor, moved: Tensor) -> None:
-        world = self._world
-        outcome = world.outcome(moved, self._ticks)
-        for row in active.nonzero().flatten().tolist():
+    def _pay(self, rows: Sequence[int], happened: Happened[Parameters]) -> None:
+        dt = self._tick.world.dt
+        for row in rows:
             # From whole ticks, so that no sum of many small numbers drifts.
             self._lived[row] += 1
-            self.accounts[row].seconds = self._lived[row] * world.dt
-        for row in ended.nonzero().flatten().tolist():
-            seconds = int(self._ticks[row]) * world.dt
-            self.accounts[row].end(Outcome(int(outcome[row])), seconds)
+            self.accounts[row].seconds = self._lived[row] * dt
+        if happened.ended:
+            for row in happened.outcome.nonzero().flatten().tolist():
+                seconds = (happened.clock - int(happened.before.begun[row])) * dt
+                self.accounts[row].end(Outcome(int(happened.outcome[row])), seconds)

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -18,8 +19,11 @@ from torch import Tensor
 from edtorch.rivals.ledger import Account
 from edtorch.run.evaluation import starts
 from edtorch.run.hashing import Use, hash_key, uniform
+from edtorch.run.random import Draw
+from edtorch.run.rollout import rollout
 from edtorch.run.scaled_sim import World
-from edtorch.types import select
+from edtorch.run.tick import Tick
+from edtorch.types import Transition
 from sims.base import Outcome, Spec
 
 BETWEEN_PAUSES = 64
@@ -237,33 +241,50 @@ def collect(
     """
     number = torch.tensor(list(episodes), device=world.device)
     key = hash_key(Use.EPISODE, seed, number)
-    clock = torch.zeros_like(number)
     count = world.uniforms + 1  # the last one chooses
+
+    @lru_cache(maxsize=1)
+    def draw(clock: int) -> Draw:
+        numbers = uniform(key, torch.full_like(number, clock), count)
+        return Draw(numbers[:, :-1], actions[(numbers[:, -1] * len(actions)).to(torch.int64)])
+
+    lived = torch.zeros_like(number)
+    ended = torch.zeros_like(number)  # RUNNING
+    record: list[tuple[Tensor, ...]] = []
     with torch.no_grad():
-        state = starts(world, [seed], len(number), uniform(key, clock, count)[:, :-1])
-        observation = world.observe(state)
-        ended = torch.zeros_like(number)  # RUNNING
-        running = ended == int(Outcome.RUNNING)
-        record: list[tuple[Tensor, ...]] = []
-        while bool(running.any()):
-            if len(record) % BETWEEN_PAUSES == 0:
+        tick = Tick(_Drawn(), world, most_episodes=1)
+        here = tick.first(None, starts(world, [seed], len(number), draw(0).uniform))
+        pause()
+        for happened in rollout(tick, here, draw, ticks=steps):
+            if happened.clock % BETWEEN_PAUSES == 0:
                 pause()
-            clock = torch.where(running, clock + 1, clock)
-            draw = uniform(key, clock, count)
-            action = actions[(draw[:, -1] * len(actions)).to(torch.int64)]
-            moved = world.step(state, world.clip(action), draw[:, :-1])
-            state = select(running, moved, state)
-            seen = world.observe(state, observation)
-            outcome = world.outcome(state, clock)
-            ended = torch.where(running, outcome, ended)
-            went_on = running & (outcome == int(Outcome.RUNNING))
-            cut = went_on & (clock >= steps) if steps is not None else torch.zeros_like(went_on)
-            rows = (observation, action, seen, number, outcome, cut)
+            transition, outcome = happened.transition, happened.outcome
+            running = happened.before.active
+            last = torch.full_like(running, happened.clock == steps)
+            cut = last & (outcome == int(Outcome.RUNNING))
+            # The action that was chosen, whatever became of it.
+            action = draw(happened.clock).normal
+            rows = (transition.state, action, transition.next_state, number, outcome, cut)
             record.append(tuple(r[running] for r in rows))
-            observation, running = seen, went_on & ~cut
-        for how, ticks in zip(ended.tolist(), clock.tolist(), strict=True):
+            lived, ended = lived + running, ended + outcome
+        for how, ticks in zip(ended.tolist(), lived.tolist(), strict=True):
             account.add(Outcome(how), ticks * world.dt)
         return _in_order([torch.cat(column) for column in zip(*record, strict=True)], world)
+
+
+class _Drawn:
+    """Does what was drawn (``edtorch.run.tick.Source``): a tick's other numbers are its actions."""
+
+    def begin(self, memory: None, fresh: Tensor, observation: Tensor, /) -> None:
+        """It remembers nothing."""
+
+    def act(self, memory: None, observation: Tensor, normal: Tensor, /) -> Tensor:
+        """The action drawn."""
+        return normal
+
+    def step(self, memory: None, transition: Transition, /, *, improve: bool) -> tuple[None, None]:
+        """It learns nothing."""
+        return None, None
 
 
 def _in_order(columns: Sequence[Tensor], world: World) -> Transitions:

@@ -29,7 +29,8 @@ from edtorch.rivals.ledger import Account
 from edtorch.rivals.networks import Networks, stacked
 from edtorch.run.random import Purpose, Streams, stream_key
 from edtorch.run.scaled_sim import World
-from edtorch.types import Parameters, select
+from edtorch.run.tick import Population, Tick
+from edtorch.types import Parameters, Transition, replace
 from sims.base import Outcome
 
 SECONDS_BETWEEN_PAUSES = 1.0
@@ -44,6 +45,24 @@ def action_box(world: World) -> tuple[Tensor, Tensor]:
     ]
     low, high = torch.tensor(bounds, dtype=world.dtype).unbind(-1)
     return (low + high) / 2, (high - low) / 2
+
+
+class _Commanded:
+    """Does what it is told (``edtorch.run.tick.Source``): its memory is the action."""
+
+    def begin(self, memory: Tensor, fresh: Tensor, observation: Tensor, /) -> Tensor:
+        """Nothing changes."""
+        return memory
+
+    def act(self, memory: Tensor, observation: Tensor, normal: Tensor, /) -> Tensor:
+        """The action."""
+        return memory
+
+    def step(
+        self, memory: Tensor, transition: Transition, /, *, improve: bool
+    ) -> tuple[Tensor, None]:
+        """Nothing is learned here."""
+        return memory, None
 
 
 class WorldEnvs(VecEnv):
@@ -67,6 +86,7 @@ class WorldEnvs(VecEnv):
         copies = lesson.copies
         keys = [stream_key(seed, Purpose.LEARNING, copy) for copy in range(copies)]
         self._streams = Streams(keys, world.uniforms, 0, world.dtype)
+        self._tick = Tick(_Commanded(), world)
         self._clock = 0
         self._paid = 0
         self._ticks = torch.zeros(copies, dtype=torch.int64)
@@ -81,10 +101,10 @@ class WorldEnvs(VecEnv):
     def reset(self) -> np.ndarray:
         """Episodes from their start, ``[copies, n]``; done once, at the beginning."""
         with torch.no_grad():
-            self._state = self._world.initial(self._streams.at(self._clock).uniform)
-            self._observation = self._world.observe(self._state)
-            self._ticks.zero_()
-        return self._seen(self._observation)
+            start = self._world.initial(self._streams.at(self._clock).uniform)
+            self._here = self._tick.first(torch.from_numpy(self._actions), start)
+        self._ticks.zero_()
+        return self._seen()
 
     def step_async(self, actions: np.ndarray) -> None:
         """What ``step_wait`` is to do, ``[copies, m]``."""
@@ -103,7 +123,7 @@ class WorldEnvs(VecEnv):
         self._account.spend(self._paid * self._world.dt - self._account.seconds)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if bool(ended.any()):
-            final = self._seen(self._observation)
+            final = self._seen()
             for copy in ended.nonzero().flatten().tolist():
                 seconds = int(self._ticks[copy]) * self._world.dt
                 self._account.end(Outcome(int(outcome[copy])), seconds)
@@ -112,9 +132,13 @@ class WorldEnvs(VecEnv):
                     # Not a state from which nothing more is earned: its value counts.
                     "TimeLimit.truncated": bool(late[copy] & ~failed[copy]),
                 }
-            self._begin(ended)
+            with torch.no_grad():
+                # From the numbers of the last tick that its own did not use.
+                draw = self._streams.at(self._clock)
+                self._here = self._tick.turn(self._here, outcome, draw, self._clock)
+            self._ticks = torch.where(ended, 0, self._ticks)
         return (
-            self._seen(self._observation),
+            self._seen(),
             rewards.to(torch.float32).numpy(),
             ended.numpy(),
             infos,
@@ -135,29 +159,22 @@ class WorldEnvs(VecEnv):
             self._clock += 1
             self._paid += count
             self._ticks += running
-            draw = self._streams.at(self._clock)
-            moved = world.step(self._state, action, draw.uniform)
-            self._state = select(running, moved, self._state)
-            self._observation = select(
-                running, world.observe(self._state, self._observation), self._observation
+            worlds = replace(self._here.worlds, active=running)
+            self._here, _, now = self._tick.live(
+                Population(action, worlds, self._here.tally),
+                self._streams.at(self._clock),
+                self._clock,
+                improve=False,
             )
-            earned += running * self._reward(self._observation, action)
-            outcome = torch.where(running, world.outcome(self._state, self._ticks), outcome)
+            earned += running * self._reward(self._here.worlds.observation, action)
+            outcome = torch.where(running, now, outcome)
+        # An episode that has ended begins anew.
+        everybody = torch.ones_like(self._here.worlds.active)
+        self._here = replace(self._here, worlds=replace(self._here.worlds, active=everybody))
         return earned, outcome, self._ticks >= world.limit_ticks
 
-    def _begin(self, ended: Tensor) -> None:
-        """A new episode where ``ended`` ``[copies]``, from the numbers of the last tick that its
-        own did not use."""
-        uniform = self._streams.at(self._clock).uniform
-        with torch.no_grad():
-            self._state = self._world.restart(self._state, ended, uniform)
-            start = self._world.observe(self._state)
-            self._observation = select(ended, start, self._observation)
-            self._ticks = torch.where(ended, 0, self._ticks)
-
-    @staticmethod
-    def _seen(observation: Tensor) -> np.ndarray:
-        return observation.to(torch.float32).numpy().copy()
+    def _seen(self) -> np.ndarray:
+        return self._here.worlds.observation.to(torch.float32).numpy().copy()
 
     def close(self) -> None:
         """Nothing is open."""

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from edtorch.learner.learner import AnyLearner
-from edtorch.run.random import Draw
+from edtorch.run.rollout import Happened
 from edtorch.run.scaled_sim import World
-from edtorch.run.tick import Population
 from sims.base import Outcome
 
 BLOCK = 512
@@ -40,14 +39,9 @@ def kept_bytes(world: World, learners: int, ticks: float) -> float:
 
 
 class Recorder:
-    """Keeps states, actions and how the episodes stood, tick by tick.
+    """Keeps states, actions and how the episodes stood, tick by tick."""
 
-    A tick does not say which action it took.  It is a function of what was before it, so that it is
-    found again here, to the last digit.
-    """
-
-    def __init__(self, learner: AnyLearner, world: World, learners: int) -> None:
-        self._learner = learner
+    def __init__(self, world: World, learners: int) -> None:
         self._world = world
         self._size = learners
         self._n = len(world.spec.state)
@@ -56,8 +50,8 @@ class Recorder:
         self._outcomes: list[Tensor] = []
         self._ticks = 0
 
-    def add(self, before: Population, draw: Draw, after: Population, outcome: Tensor) -> None:
-        """One tick: the population before it, its random numbers, what ``Tick.live`` returned."""
+    def add(self, happened: Happened[Any]) -> None:
+        """One more tick."""
         row = self._ticks % BLOCK
         if row == 0:
             width = 2 * self._n + len(self._world.spec.action)
@@ -65,16 +59,12 @@ class Recorder:
             self._numbers.append(torch.empty(BLOCK, self._size, width, dtype=kind))
             self._episodes.append(torch.empty(BLOCK, self._size, dtype=torch.int32))
             self._outcomes.append(torch.empty(BLOCK, self._size, dtype=torch.int8))
-        seen, world = before.worlds.observation, self._world
-        action = world.clip(self._learner.act(before.learners, seen, draw.normal))
-        applied = world.applied(after.worlds.world, action)
-        stepped = world.stepped(after.worlds.world, before.worlds.active)
-        numbers = self._numbers[-1][row]
-        numbers[:, : self._n] = seen
-        numbers[:, self._n : -self._n] = applied
-        numbers[:, -self._n :] = after.worlds.observation
-        self._episodes[-1][row] = before.worlds.episodes
-        self._outcomes[-1][row] = torch.where(stepped, outcome, -1)
+        transition, numbers = happened.transition, self._numbers[-1][row]
+        numbers[:, : self._n] = transition.state
+        numbers[:, self._n : -self._n] = transition.action
+        numbers[:, -self._n :] = transition.next_state
+        self._episodes[-1][row] = happened.before.episodes
+        self._outcomes[-1][row] = torch.where(transition.valid, happened.outcome, -1)
         self._ticks += 1
 
     def lived(self, row: int) -> Lived:

@@ -1,34 +1,58 @@
-"""One tick of a population of learners in their worlds, as pure functions of tensors.
+"""One tick of a population in its worlds, as pure functions of tensors.
 
-``Tick.live`` is the walk of Fig. 1 for everybody; ``Tick.turn`` begins new episodes where old ones
+``Tick.live`` lets everybody act and learn (Fig. 1); ``Tick.turn`` begins new episodes where some
 have ended.  Neither asks a tensor for its number, so that both compile as they are
-(``edtorch.compiled.program``); a loop that runs them one by one may leave out a ``turn`` that
-nobody needs.
+(``edtorch.compiled.program``).  ``edtorch.run.rollout`` runs them one by one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
 import torch
 from torch import Tensor
 
-from edtorch.learner.learner import AnyLearner, Check
+from edtorch.learner.learner import Check
 from edtorch.learner.schedule import ALWAYS, Schedule
 from edtorch.run.random import Draw
 from edtorch.run.scaled_sim import World
-from edtorch.types import LearnerState, Metrics, Transition, replace, select, tree_dataclass
+from edtorch.types import Metrics, Transition, replace, select, tree_dataclass
 from sims.base import Outcome
+
+Memory = TypeVar("Memory")
+"""What a source of actions remembers, a tree of tensors ``[B, ...]``."""
+
+
+class Source(Protocol[Memory]):
+    """Where actions come from: learners (``edtorch.learner.learner.AnyLearner``), frozen policies,
+    controllers.  Its methods are pure: what it remembers goes in and comes out."""
+
+    def begin(self, memory: Memory, fresh: Tensor, observation: Tensor, /) -> Memory:
+        """New episodes of those that are ``fresh`` ``[B]``; observation ``[B, n]``: the first one,
+        of no meaning for the others."""
+        ...
+
+    def act(self, memory: Memory, observation: Tensor, normal: Tensor, /) -> Tensor:
+        """The actions ``[B, m]``, scaled, not yet clipped; normal ``[B, m]``: standard normal."""
+        ...
+
+    def step(
+        self, memory: Memory, transition: Transition, /, *, improve: bool
+    ) -> tuple[Memory, Metrics | None]:
+        """After what happened in a tick; ``improve``: whether this is a tick to improve at."""
+        ...
 
 
 @tree_dataclass
 class Experience:
-    """Where each learner of a population stands in its world; everything ``[B, ...]``.
+    """Where each member of a population stands in its world; everything ``[B, ...]``.
 
     world, start: the sim's state now and at the start of the episode; observation: scaled;
-    begun: tick at which the episode began; earned: its return so far, float64; active: still
-    learning; counters of finished episodes, an episode being a success unless it is known not to be
-    (``edtorch.run.success``).
+    begun: tick at which the episode began; earned: its return so far, float64; active: still within
+    the budget; counters of finished episodes, an episode being a success unless it is known to be
+    none (``edtorch.run.success``).
     """
 
     world: Tensor
@@ -68,8 +92,10 @@ class Tally:
         finite = torch.ones(size, len(Check), dtype=torch.bool, device=device)
         return Tally(zero, zero, zero, zero, zero, finite, torch.full((size,), -1, device=device))
 
-    def add(self, metrics: Metrics, active: Tensor) -> Tally:
+    def add(self, metrics: Metrics | None, active: Tensor) -> Tally:
         """With one more tick of the active learners ``[B]``."""
+        if metrics is None:
+            return self
         floored = self.first_floored
         if metrics.first_floored is not None:
             fresh = active & (floored < 0)
@@ -97,31 +123,36 @@ class Tally:
 
 
 @tree_dataclass
-class Population:
-    """B learners, their worlds, and what was measured of them."""
+class Population(Generic[Memory]):
+    """B learners (or whatever else acts), their worlds, and what was measured of them."""
 
-    learners: LearnerState
+    learners: Memory
     worlds: Experience
     tally: Tally
 
 
-@dataclass(frozen=True)
-class Tick:
-    """What all ticks of a training have in common.
+def observation(worlds: Experience) -> Tensor:
+    """What a source of actions sees of its worlds, as a rule."""
+    return worlds.observation
 
-    most_episodes, most_rides: after which a learner is done, None for no limit; schedule: at which
-    ticks policies are improved.
+
+@dataclass(frozen=True)
+class Tick(Generic[Memory]):
+    """What all ticks of a run have in common.
+
+    learner: acts, and may learn; most_episodes, most_rides: after which it is done, None for no
+    limit; schedule: at which ticks policies are improved; view: what the learner acts upon.
     """
 
-    learner: AnyLearner
+    learner: Source[Memory]
     world: World
     most_episodes: int | None = None
     most_rides: int | None = None
     schedule: Schedule = ALWAYS
+    view: Callable[[Experience], Tensor] = observation
 
-    def first(self, learners: LearnerState, draw: Draw) -> Population:
-        """Everybody at the start of a first episode; draw: of tick 0."""
-        state = self.world.initial(draw.uniform)
+    def first(self, learners: Memory, state: Tensor) -> Population[Memory]:
+        """Everybody at the start ``state`` ``[B, k]`` of a first episode, at tick 0."""
         size, device = state.shape[0], state.device
         zero = torch.zeros(size, dtype=torch.int64, device=device)
         everybody = torch.ones(size, dtype=torch.bool, device=device)
@@ -140,16 +171,16 @@ class Tick:
         return Population(learners, worlds, Tally.zero(size, device))
 
     def live(
-        self, here: Population, draw: Draw, clock: int | Tensor, *, improve: bool
-    ) -> tuple[Population, Tensor]:
+        self, here: Population[Memory], draw: Draw, clock: int | Tensor, *, improve: bool
+    ) -> tuple[Population[Memory], Transition, Tensor]:
         """Act, let the worlds step, learn from it.
 
         clock: number of this tick, from 1; improve: what ``schedule`` says of it.  Returns the
-        population and how its episodes stand, an ``Outcome`` as int64 ``[B]``, RUNNING for learners
-        that are done.
+        population, what happened, and how the episodes stand, an ``Outcome`` as int64 ``[B]``,
+        RUNNING for those that are done.
         """
         worlds, active = here.worlds, here.worlds.active
-        action = self.world.clip(self.learner.act(here.learners, worlds.observation, draw.normal))
+        action = self.world.clip(self.learner.act(here.learners, self.view(worlds), draw.normal))
         state = self.world.step(worlds.world, action, draw.uniform)
         observation = self.world.observe(state, worlds.observation)
         seconds = self.world.seconds
@@ -167,11 +198,11 @@ class Tick:
             replace(worlds, world=state, observation=observation, earned=earned),
             here.tally.add(metrics, active),
         )
-        return population, torch.where(active, outcome, int(Outcome.RUNNING))
+        return population, transition, torch.where(active, outcome, int(Outcome.RUNNING))
 
     def turn(
-        self, here: Population, outcome: Tensor, draw: Draw, clock: int | Tensor
-    ) -> Population:
+        self, here: Population[Memory], outcome: Tensor, draw: Draw, clock: int | Tensor
+    ) -> Population[Memory]:
         """Count the episodes that have ended by ``outcome`` ``[B]``, and begin new ones within the
         budget."""
         worlds = here.worlds

@@ -5,9 +5,9 @@ Nothing here writes or prints: whoever runs the loop asks it for snapshots and r
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from dataclasses import replace as with_fields
 from typing import Protocol
 
 import torch
@@ -18,12 +18,12 @@ from edtorch.learner.schedule import ALWAYS, Schedule
 from edtorch.run.episodes import Budget, Episode, Snapshot
 from edtorch.run.random import Streams, learning_streams
 from edtorch.run.recorder import Recorder
+from edtorch.run.rollout import Happened, finished, rollout
 from edtorch.run.scaled_sim import World
-from edtorch.run.success import as_success, settled
+from edtorch.run.success import settled
 from edtorch.run.tick import Experience, Population, Tick
 from edtorch.run.trail import Trail
 from edtorch.types import LearnerState, replace
-from sims.base import Outcome
 
 WATCHED = 16
 """Learners of which the states are kept for pictures: the first ones."""
@@ -57,7 +57,7 @@ class Stage(Protocol):
     """A way to run ticks; it holds the population meanwhile."""
 
     @property
-    def population(self) -> Population:
+    def population(self) -> Population[LearnerState]:
         """The population now, ``[B, ...]``."""
         ...
 
@@ -66,7 +66,7 @@ class Stage(Protocol):
         """Whether everybody has used up the budget."""
         ...
 
-    def replace(self, population: Population) -> None:
+    def replace(self, population: Population[LearnerState]) -> None:
         """Go on with another one of the same size."""
         ...
 
@@ -87,8 +87,8 @@ class Eager:
 
     def __init__(
         self,
-        tick: Tick,
-        population: Population,
+        tick: Tick[LearnerState],
+        population: Population[LearnerState],
         streams: Streams,
         recorder: Recorder | None = None,
     ) -> None:
@@ -103,40 +103,36 @@ class Eager:
         """See ``Stage``."""
         return not bool(self.population.worlds.active.any())
 
-    def replace(self, population: Population) -> None:
+    def replace(self, population: Population[LearnerState]) -> None:
         """See ``Stage``."""
         self.population = population
 
     def run(self, clock: int, ticks: int, stride: int, note: Note) -> int:
         """See ``Stage``."""
-        for now in range(clock + 1, clock + ticks + 1):
-            draw = self._streams.at(now)
-            before = self.population.worlds
-            improve = self._tick.schedule.improves(now)
-            here, outcome = self._tick.live(self.population, draw, now, improve=improve)
+        now = clock
+        for happened in rollout(
+            self._tick, self.population, self._streams.at, clock=clock, ticks=ticks
+        ):
+            now, self.population = happened.clock, happened.population
             if self._recorder is not None:
-                self._recorder.add(self.population, draw, here, outcome)
-            after = here.worlds
-            ended = bool(outcome.any())
-            if ended:
-                here = self._tick.turn(here, outcome, draw, now)
-            self.population = here
-            if ended or now % stride == 0:
-                moment = Moment(
-                    clock=now,
-                    rows=self._everybody,
-                    start=before.start,
-                    begun=before.begun,
-                    episodes=before.episodes,
-                    active=before.active,
-                    world=after.world,
-                    earned=after.earned,
-                    outcome=outcome,
-                )
-                note([moment])
-            if ended and self.done:
-                return now - clock
-        return ticks
+                self._recorder.add(happened)
+            if happened.ended or now % stride == 0:
+                note([self._moment(happened)])
+        return now - clock
+
+    def _moment(self, happened: Happened[LearnerState]) -> Moment:
+        before, after = happened.before, happened.after
+        return Moment(
+            clock=happened.clock,
+            rows=self._everybody,
+            start=before.start,
+            begun=before.begun,
+            episodes=before.episodes,
+            active=before.active,
+            world=after.world,
+            earned=after.earned,
+            outcome=happened.outcome,
+        )
 
 
 class Training:
@@ -167,7 +163,7 @@ class Training:
         self.lost_episodes = [0] * len(self.seeds)
         self.tick = Tick(learner, world, budget.episodes, budget.rides, schedule)
         streams = learning_streams(world, self.seeds)
-        first = self.tick.first(learner.initial(self.seeds), streams.at(0))
+        first = self.tick.first(learner.initial(self.seeds), world.initial(streams.at(0).uniform))
         self.stage: Stage = Eager(self.tick, first, streams, recorder)
         watched = first.worlds.world[:WATCHED]
         self.trail = Trail(watched, trail_stride, world.limit_ticks // trail_stride + 2)
@@ -263,33 +259,24 @@ class Training:
 
     def _record(self, ends: list[tuple[Moment, int, tuple[int, int]]]) -> None:
         """Episodes that have ended: when, whose, and where in the trail."""
-        start = torch.stack([moment.start[index] for moment, index, _ in ends])
-        final = torch.stack([moment.world[index] for moment, index, _ in ends])
         begun = [int(moment.begun[index]) for moment, index, _ in ends]
         ticks = [moment.clock - first for (moment, _, _), first in zip(ends, begun, strict=True)]
-        seconds = torch.tensor(ticks, dtype=torch.float64, device=final.device) * self.world.dt
-        found = self.world.sim.measures(start, final, seconds)
-        measures = {name: figure.tolist() for name, figure in found.items()}
-        outcome = torch.stack([moment.outcome[index] for moment, index, _ in ends])
-        success = self.world.success(final, outcome).tolist()
-        lost = self.world.lost(final).tolist()
-        for place, (moment, index, trail) in enumerate(ends):
-            row = moment.rows.start + index
-            if lost[place]:
+        found = finished(
+            self.world,
+            torch.stack([moment.start[index] for moment, index, _ in ends]),
+            torch.stack([moment.world[index] for moment, index, _ in ends]),
+            torch.tensor(ticks, device=self.world.device),
+            torch.stack([moment.outcome[index] for moment, index, _ in ends]),
+            torch.stack([moment.earned[index] for moment, index, _ in ends]),
+        )
+        for episode, first, (moment, index, trail) in zip(found, begun, ends, strict=True):
+            row, number = moment.rows.start + index, int(moment.episodes[index])
+            if episode is None:
                 self.lost_episodes[row] += 1
                 continue
+            start = first * self.world.dt
             self._episodes.append(
-                Episode(
-                    row=row,
-                    number=int(moment.episodes[index]),
-                    start=begun[place] * self.world.dt,
-                    seconds=float(seconds[place]),
-                    outcome=Outcome(int(outcome[place])),
-                    measures={name: figures[place] for name, figures in measures.items()},
-                    trail=trail,
-                    total_reward=float(moment.earned[index]) if self.world.has_return else math.nan,
-                    success=as_success(success[place]),
-                )
+                with_fields(episode, row=row, number=number, start=start, trail=trail)
             )
 
     def snapshot(self) -> Snapshot:

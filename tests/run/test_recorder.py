@@ -27,7 +27,7 @@ def test_transitions_are_those_of_the_system() -> None:
 def test_recording_changes_no_digit() -> None:
     world = World(Bicycle())
     learner = bicycle_learner(world)
-    recorder = Recorder(learner, world, 2)
+    recorder = Recorder(world, 2)
     budget = Budget(seconds=6.0)
     one = Training(learner, world, [5, 6], budget, recorder=recorder)
     other = Training(learner, world, [5, 6], budget)
@@ -41,7 +41,7 @@ def test_episodes_of_the_recording_are_those_that_were_counted() -> None:
     """Of a learning bicycle: falls, lengths, and the actions within their bounds."""
     world = World(Bicycle())
     learner = bicycle_learner(world)
-    recorder = Recorder(learner, world, 2)
+    recorder = Recorder(world, 2)
     training = Training(learner, world, [5, 6], Budget(seconds=8.0), recorder=recorder)
     training.advance(800)
     for row in range(2):

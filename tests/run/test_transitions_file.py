@@ -279,6 +279,6 @@ def test_joined_files_keep_their_episodes_apart() -> None:
 
 def test_nothing_lived_is_nothing_gathered() -> None:
     """A learner without a transition leaves none, and no number to its episodes."""
-    recorder = Recorder(linear_learner(), WORLD, 2)
+    recorder = Recorder(WORLD, 2)
     nobody = gathered([recorder.lived(0), recorder.lived(1)], [0, 1], 1.0)
     assert len(nobody) == 0
