@@ -1,8 +1,8 @@
-"""What a simulator is: the protocol that every sim follows, and the words it describes itself with.
+"""The protocol that every simulator follows, and the types that describe a simulator.
 
 A sim is a set of functions of tensors with any leading batch dimensions.  It draws no random
-numbers: whoever runs it hands in uniform numbers in [0, 1), so that the same numbers give the same
-episode, whatever the batch.
+numbers: its caller passes uniform numbers in [0, 1), so that the same numbers give the same
+episode in any batch.
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ class Sim(Protocol):
         ...
 
     def outcome(self, state: Tensor) -> Tensor:
-        """``Outcome`` of each episode as int64 ``[*batch]``, the time limit apart (whoever runs the
-        episode counts its seconds, unless the sim does)."""
+        """``Outcome`` of each episode as int64 ``[*batch]``, without the time limit (the caller
+        counts the seconds, unless the sim does)."""
         ...
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:

@@ -142,7 +142,7 @@ def _check_batch(
         _expect(outcome.shape == batch, spec, f"{where}: outcome of shape {_of(outcome)}")
         _expect(outcome.dtype == torch.int64, spec, f"{where}: outcome is {outcome.dtype}")
         known = all(int(value) in list(Outcome) for value in outcome.reshape(-1))
-        _expect(known, spec, f"{where}: outcome {outcome.tolist()} is none of Outcome")
+        _expect(known, spec, f"{where}: outcome {outcome.tolist()} is not an Outcome")
     goal = spec_index(spec, spec.goal)
     for k, state in enumerate(states):
         same = torch.equal(sim.observe(state)[..., goal], sim.observe(states[0])[..., goal])

@@ -15,7 +15,7 @@ Factory = Callable[[], Env]
 
 _FACTORY = "give a factory, a function without arguments that returns a new environment"
 _UNBOUNDED = 1e30
-"""A bound of this size is none: some environments write the largest float for infinity."""
+"""A bound of this size or more counts as infinite: some environments write the largest float."""
 
 _users: weakref.WeakKeyDictionary[Env, weakref.ref[object]] = weakref.WeakKeyDictionary()
 
@@ -99,7 +99,7 @@ def _rebuilding(env: Env) -> Factory | None:
 
 
 def taken_by(env: Env, user: object) -> None:
-    """From now on ``env`` belongs to ``user``: whoever had it before would disturb its episode."""
+    """Assign ``env`` to ``user``; a former user would disturb its episode."""
     _users[env] = weakref.ref(user)
 
 

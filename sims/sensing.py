@@ -32,17 +32,16 @@ from sims.normal import normal_quantile
 
 @dataclass(frozen=True)
 class Sensed:
-    """``sim``, seen through sensors: y_t = observe(s_t) + noise, of which a learner gets
-    y_{t - delay}.
+    """``sim`` observed through sensors: y_t = observe(s_t) + noise; a learner gets y_{t - delay}.
 
-    A new episode begins with one reading of its start, which is all that there is until the first
-    one comes in; these steps without news are none to learn from (``stepped``).  Angles that wrap
-    stay within their period, bounded components within their bounds.  Ends, measures, pictures and
-    baselines are those of the sim itself.
+    A new episode begins with one reading of its start, which is repeated until the first delayed
+    reading arrives; transitions before that are masked (``stepped``).  Angles that wrap stay within
+    their period, bounded components within their bounds.  Ends, measures, pictures and baselines
+    are those of the sim itself.
 
-    A full state is that of the sim, followed by the readings under way, the oldest first: each the
-    ``n`` components observed, and whether the step to it was one.  ``traceable`` if the sim is; a
-    sim with a memory of its own is given a part of the tensor that it returned.
+    A full state is that of the sim, followed by the delayed readings, the oldest first: each the
+    ``n`` components observed, and whether the step to it is a valid transition.  ``traceable`` if
+    the sim is; a sim with a memory of its own is given a part of the tensor that it returned.
 
     Arguments: ``noise``: standard deviations by name of a component of the sim's observation, in
     its unit; ``delay``: whole number of steps.

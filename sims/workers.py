@@ -20,8 +20,8 @@ Result = TypeVar("Result")
 class Workers(Generic[Row, Result]):
     """``count`` processes that apply ``work``, a function of a module, to lists of rows.
 
-    When a process dies, all are started anew and the rows that are lacking are computed again, one
-    by one.  A row whose process dies once more is given up: its result is None.
+    When a process dies, all are restarted and the missing rows are computed again, one by one.  A
+    row whose process dies again has the result None.
     """
 
     def __init__(self, work: Callable[[list[Row]], list[Result]], count: int) -> None:
@@ -86,5 +86,5 @@ class Workers(Generic[Row, Result]):
 
 
 def _initialise() -> None:
-    # An interrupt of the terminal reaches the whole group; whoever started us ends us.
+    # An interrupt of the terminal reaches the whole group; the parent process ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -44,9 +44,9 @@ class Material:
 HOW = (
     "Median over the seeds with its 95 % bootstrap interval"
     f" ({samples.RESAMPLES:,} resamples of the seeds, each method at its own number of them). A"
-    " policy is tried in fresh episodes at checkpoints: stable if none of them is a fall, at the"
-    " goal if all end there; what was paid until then, trials not counted. Seeds that never got"
-    " there are censored; with more than a quarter of them only the Kaplan-Meier median is told"
+    " policy is evaluated in new episodes at checkpoints: stable if none of them is a fall, at the"
+    " goal if all end there; the cost until then, evaluations not counted. Seeds that never got"
+    " there are censored; with more than a quarter of them only the Kaplan-Meier median is given"
     " (KM; > 123: not reached, the median of what was paid). CPU seconds of a population in"
     " lockstep are shared among its learners. Published: texts of the sources, empty where nothing"
     " was; of the methods that learn from short recorded episodes these stand under falls."

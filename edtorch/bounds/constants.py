@@ -16,7 +16,7 @@ Provenance = Literal["analytic", "interval", "sampled"]
 
 
 class NonSmoothDynamics(ValueError):
-    """Bounds were asked for dynamics that are not twice differentiable; there are none."""
+    """The dynamics are not twice differentiable, so that the bounds do not exist."""
 
 
 class NotCertified(ValueError):

@@ -1,4 +1,4 @@
-"""Compiling a function where the machine can, and saying so where it cannot."""
+"""Compile a function where the machine can, and log a message where it cannot."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 SUPPORTED = ((2, 13), (2, 14))
-"""torch from this version on and before that one: of others it is not known whether they can."""
+"""Tested versions of torch: from the first up to, but not including, the second."""
 
 
 class CannotCompile(RuntimeError):
-    """A program cannot be had; the message says why and what would help."""
+    """Compilation is unavailable; the message says why and gives a remedy."""
 
 
 def check_compiler() -> None:
-    """Raises CannotCompile where programs can neither be made nor trusted."""
+    """Raises CannotCompile without a compiler, a tested torch, or a path that torch can quote."""
     version = tuple(int(part) for part in torch.__version__.split(".")[:2])
     if not SUPPORTED[0] <= version < SUPPORTED[1]:
         least, bound = (".".join(map(str, v)) for v in SUPPORTED)
@@ -48,7 +48,7 @@ def check_compiler() -> None:
 
 
 def compiled(function: _Function, *, mode: CompileMode) -> _Function:
-    """``function`` compiled as one graph; with ``auto`` as it is where that cannot be had.
+    """``function`` compiled as one graph; with ``auto`` unchanged where compilation is unavailable.
 
     Raises CannotCompile with ``on``.
     """

@@ -36,7 +36,7 @@ SECONDS_BETWEEN_PAUSES = 0.5
 
 @dataclass(frozen=True)
 class AdaptiveLqr:
-    """exploration: standard deviation of what is added to the actions, scaled; prior, forgetting:
+    """exploration: standard deviation of the noise added to the actions, scaled; prior, forgetting:
     of the least squares (``edtorch.model.fit.RecursiveLeastSquares``); doublings: the horizon is 2
     to this power, in ticks; piece: simulated seconds from one checkpoint to the next.  The costs
     are those of the shaping reward, which must cost every action."""

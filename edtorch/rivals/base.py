@@ -24,11 +24,11 @@ from edtorch.types import Parameters
 
 @dataclass(frozen=True)
 class Problem:
-    """What there is to solve.
+    """The problem that a rival solves.
 
-    world: the sim in scaled units, for any number of episodes at a time; policy: the template of a
-    linear policy that the configuration names, for rivals that search among such; reward: the
-    shaping reward, scaled; seeds: one search each, which depends on nothing but its seed;
+    world: the sim in scaled units, for any number of episodes at a time; policy: the
+    configured linear policy, a template for rivals that search linear policies; reward: the
+    shaping reward, scaled; seeds: one search each, which depends on its seed alone;
     compile: whether to compile.
     """
 
@@ -41,34 +41,36 @@ class Problem:
 
 @runtime_checkable
 class Search(Protocol):
-    """One search per seed, begun and under way."""
+    """One running search per seed."""
 
     accounts: list[Account]
-    """What each seed has paid."""
+    """Cost of each seed so far."""
 
     @property
     def actor(self) -> Actor:
-        """What acts with the parameters below: no exploration."""
+        """The policy that takes the parameters below, without exploration."""
         ...
 
     @property
     def parameters(self) -> Parameters:
-        """The policies of now, each tensor ``[S, ...]``."""
+        """The current policies, each tensor ``[S, ...]``."""
         ...
 
     @property
     def done(self) -> list[bool]:
-        """Of each seed, whether the rival itself is at its end, whatever the budget."""
+        """For each seed, whether the method has ended, regardless of the budget."""
         ...
 
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
-        """A piece of work for each seed that is ``going``, as long as one likes policies to be
-        tried after; ``pause`` is called every second or so, and what it raises ends the search."""
+        """Work for each seed that is ``going``, up to the next evaluation of the policies.
+
+        ``pause`` is called about every second; an exception from it ends the search.
+        """
         ...
 
 
 class LinearSearch:
-    """What searches for a linear policy share: accounts, and ``_weight`` ``[S, ...]``."""
+    """Common part of searches for a linear policy: accounts, and ``_weight`` ``[S, ...]``."""
 
     _weight: Tensor
 
@@ -90,10 +92,10 @@ class LinearSearch:
 
 @runtime_checkable
 class Storing(Protocol):
-    """A search whose parameters are only a reference to what its policies are made of."""
+    """A search whose parameters are only references to the data of its policies."""
 
     def stored(self) -> Parameters:
-        """All that they are made of, to be saved instead."""
+        """That data, to be saved instead."""
         ...
 
 
@@ -101,5 +103,5 @@ class Rival(Protocol):
     """The settings of a rival."""
 
     def begin(self, problem: Problem) -> Search:
-        """Raises ValueError, which names the setting, for a problem that it cannot take."""
+        """Raises ValueError, which names the setting, for an unsuitable problem."""
         ...

@@ -147,12 +147,12 @@ def _is_vector(given: Any, size: int) -> bool:
 def choices(actions: Tensor, taken: Tensor) -> Tensor:
     """Which of ``actions`` ``[A, m]`` each of ``taken`` ``[N, m]`` is, ``[N]``.
 
-    Raises ValueError for an action that is none of them.
+    Raises ValueError for any other action.
     """
     same = (taken[:, None] == actions).all(-1)
     if not bool(same.any(-1).all()):
         row = int((~same.any(-1)).nonzero()[0])
-        raise ValueError(f"row {row}: action {taken[row].tolist()} is none of the actions allowed")
+        raise ValueError(f"row {row}: action {taken[row].tolist()} is not an allowed action")
     return same.to(torch.uint8).argmax(-1)
 
 
@@ -233,7 +233,7 @@ def collect(
     account: Account,
     pause: Callable[[], None],
 ) -> Transitions:
-    """Episodes of a controller that chooses anew in each tick, uniformly among ``actions``
+    """Episodes of a controller that chooses in each tick, uniformly among ``actions``
     ``[A, m]`` (scaled), whatever it sees; each is cut off after ``steps``.
 
     Which of them it chooses, and what happens, depends on (seed, number of the episode, tick)

@@ -50,7 +50,7 @@ class Accumulator(Protocol):
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of what is added to each action, scaled; 0: nothing."""
+        """Standard deviation of the exploration added to each action, scaled; 0: none."""
         ...
 
     def begin(self, slots: int) -> tuple[Tensor, ...]:

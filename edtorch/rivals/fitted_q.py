@@ -38,11 +38,11 @@ ROWS = 65_536
 class FittedQ(BatchSettings):
     """Further settings of fitted Q iteration.
 
-    episodes: recorded before anything is learned; iterations: of Q; rebuilt: the first so many
-    build trees anew, and the rest keep the last trees' splits and renew the values at their leaves,
-    which makes them a contraction; null: all build; every: iterations between two
-    policies to be tried; trees: of each regression; smallest: transitions that a node must hold to
-    be split (n_min).  Each split is the best of one random cut of every input (K = all).
+    episodes: recorded before anything is learned; iterations: of Q; rebuilt: the number of first
+    iterations that build new trees; later ones keep the last splits and update the values at the
+    leaves, which makes them a contraction; null: all; every: iterations between evaluations; trees:
+    of each regression; smallest: transitions that a node must hold to be split (n_min).  Each split
+    is the best of one random cut of every input (K = all).
     """
 
     episodes: int = 300

@@ -71,8 +71,8 @@ class WorldEnvs(VecEnv):
     Observations are the world's scaled ones, float32 and unbounded; actions are in [-1, 1], see
     ``action_box``.  An action is held for ``repeat`` ticks, or until the episode ends; the reward
     of such a decision is ``reward_scale`` times: the sum over its ticks of r dt, of the state that
-    each arrives at, less ``fall_penalty`` if it ends in a failure.  ``account`` is told of every
-    tick and episode.  Copy c of a seed draws from the c-th stream of the seed.
+    each arrives at, less ``fall_penalty`` if it ends in a failure.  Every tick and episode is
+    entered in ``account``.  Copy c of a seed draws from the c-th stream of the seed.
     """
 
     def __init__(
@@ -274,7 +274,7 @@ class BaselinesSearch:
 
     @property
     def parameters(self) -> Parameters:
-        """The policies of now."""
+        """The current policies."""
         return stacked([self._layers(model) for model in self.models])
 
     @property

@@ -1,4 +1,4 @@
-"""What a transform is: one step of the deterministic process M' (eq. 2; section 3)."""
+"""The transform protocol: one step of the deterministic process M' (eq. 2; section 3)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from edtorch.types import Belief
 
 
 class Transform(Protocol):
-    """How mean and covariance move through the closed loop mu_pi, and what they earn.
+    """Propagates mean and covariance through the closed loop mu_pi; gives the expected reward.
 
     Transforms are pure, differentiable, and take any leading dimensions ``*batch``.
 
@@ -33,10 +33,10 @@ class Transform(Protocol):
         ...
 
     def keeps_positive(self, noise: StateFunction) -> bool:
-        """Whether ``move`` makes a positive semidefinite covariance of one, by construction.
+        """Whether ``move`` keeps a covariance positive semidefinite by construction.
 
         Where it does not, ``edtorch.value.unroll`` checks the eigenvalues at every step, floors
-        them and says where that began.
+        them and reports the first step where that happened.
         """
         ...
 

@@ -40,7 +40,7 @@ class Cubature:
     exact_for_linear = True
 
     def keeps_positive(self, noise: StateFunction) -> bool:
-        """A mean of covariances is one, so all depends on nu."""
+        """True if nu is positive: a mean of covariances is a covariance."""
         return is_positive(noise)
 
     def move(self, belief: Belief, closed_loop: StateFunction, noise: StateFunction) -> Belief:

@@ -28,7 +28,7 @@ class FirstOrder:
     at_mean = True
 
     def keeps_positive(self, noise: StateFunction) -> bool:
-        """J cov J' is positive semidefinite, so all depends on nu."""
+        """True if nu is positive: J cov J' always is."""
         return is_positive(noise)
 
     def move(self, belief: Belief, closed_loop: StateFunction, noise: StateFunction) -> Belief:

@@ -41,7 +41,7 @@ class GaussHermite:
             raise ValueError(f"order={self.order}: expected 2 or more")
 
     def keeps_positive(self, noise: StateFunction) -> bool:
-        """A mean of covariances is one, so all depends on nu."""
+        """True if nu is positive: a mean of covariances is a covariance."""
         return is_positive(noise)
 
     def move(self, belief: Belief, closed_loop: StateFunction, noise: StateFunction) -> Belief:

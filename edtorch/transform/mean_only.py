@@ -1,4 +1,4 @@
-"""The mean alone: what the paper's bicycle propagates."""
+"""The mean alone, as for the paper's bicycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Noise as the transforms take it: nu_pi, a function of the state."""
+"""Noise covariance nu_pi as a function of the state, as the transforms take it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from edtorch.derivatives import StateFunction
 
 @dataclass(frozen=True)
 class ConstantNoise:
-    """nu_pi(s) = cov, wherever s is.
+    """nu_pi(s) = cov for every state s.
 
     cov ``[*batch, n, n]``, positive semidefinite, per step, in squared units of the state.
     """
@@ -27,7 +27,7 @@ class ConstantNoise:
 
 @dataclass(frozen=True)
 class PositiveNoise:
-    """A function nu_pi ``[*batch, n] -> [*batch, n, n]`` vouched for: every value a covariance."""
+    """A function nu_pi ``[*batch, n] -> [*batch, n, n]``, all of whose values are covariances."""
 
     function: StateFunction
     positive = True
@@ -40,8 +40,8 @@ class PositiveNoise:
 def is_positive(noise: StateFunction) -> bool:
     """Whether a noise function declares (``positive = True``) that all its values are covariances.
 
-    One that declares nothing is not believed: the unroll then watches the eigenvalues at every
-    step, which ``PositiveNoise`` saves.
+    Without that declaration the unroll checks the eigenvalues at every step; ``PositiveNoise``
+    avoids it.
     """
     return bool(getattr(noise, "positive", False))
 

@@ -1,4 +1,4 @@
-r"""What the point transforms share: push weighted points through the closed loop, take moments.
+r"""Shared by the point transforms: propagate weighted points through the closed loop, take moments.
 
 Nodes z_k with weights w_k > 0, sum w = 1, sum w z = 0, sum w z z' = I, stand for a standardised
 state; the points are x_k = s~ + L z_k with L L' = Sigma.  With y_k = mu_pi(x_k), y = sum w_k y_k,
@@ -14,8 +14,8 @@ and the derivative of any factor is infinite where Sigma is singular.  L is ther
 factor of Sigma + jitter, with a diagonal jitter of eps^(2/3) of each variance (or of 1, the unit of
 a scaled state, where a variance is below eps^(2/3)): truncation, of the order of the jitter, and
 rounding, eps / sqrt(jitter), balance there for the derivatives with respect to Sigma.  The points
-are that little too far apart, but the covariance is A Sigma A' with Sigma itself, so the jitter is
-not handed on and does not accumulate; a linear closed loop loses only rounding.
+are slightly too far apart, but the covariance is A Sigma A' with Sigma itself, so the jitter does
+not accumulate; a linear closed loop has rounding errors only.
 """
 
 from __future__ import annotations

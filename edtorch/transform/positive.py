@@ -10,16 +10,17 @@ from torch import Tensor
 from edtorch.linalg import symmetric_eigen
 
 TOLERANCE = 1e-12
-"""Eigenvalues above -TOLERANCE times the largest are rounding, not trouble."""
+"""Eigenvalues above -TOLERANCE times the largest count as rounding."""
 
 
 def symmetric(matrix: Tensor) -> Tensor:
-    """(A + A') / 2: removes what rounding has put between A and A'."""
+    """(A + A') / 2, which removes the asymmetry of rounding."""
     return 0.5 * (matrix + matrix.mT)
 
 
 class Floored(NamedTuple):
-    """cov ``[*batch, n, n]``; began ``[*batch]``: whether it had to be lifted, beyond rounding."""
+    """cov ``[*batch, n, n]``; began ``[*batch]``: whether eigenvalues that were negative beyond
+    rounding were set to 0."""
 
     cov: Tensor
     began: Tensor
@@ -28,10 +29,10 @@ class Floored(NamedTuple):
 def floored(cov: Tensor) -> Floored:
     """The nearest positive semidefinite matrix: negative eigenvalues become 0.
 
-    cov ``[*batch, n, n]``, symmetric.  The lift that this adds is taken as a constant in
-    derivatives: the gradient of the eigenvectors does not exist where eigenvalues meet, at Sigma =
-    0 for a start.  Where nothing was negative beyond rounding, value and gradient are the input's.
-    Rows that are not finite are handed back as they are, for the caller's checks to find.
+    cov ``[*batch, n, n]``, symmetric.  The correction counts as a constant in derivatives,
+    since the gradient of the eigenvectors does not exist where eigenvalues coincide, for instance
+    at Sigma = 0.  Where nothing was negative beyond rounding, value and gradient are the input's.
+    Rows that are not finite are returned unchanged, for the caller's checks to find.
     """
     values, vectors = symmetric_eigen(cov.detach())
     # In float32 rounding itself is larger than TOLERANCE.

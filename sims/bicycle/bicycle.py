@@ -126,7 +126,7 @@ class Bicycle:
     the front tyre is within ``goal_radius`` of (1000, 0) m, both together counting as a fall, and
     TIMED_OUT after ``time_limit``.
 
-    Disturbance: the rider's displacement is off by up to ``noise`` either way, uniformly, anew in
+    Disturbance: the rider's displacement is off by up to ``noise`` either way, drawn uniformly in
     each step and after the action's clipping.
 
     Harder worlds, each off by default and free to go with the others:
@@ -244,7 +244,7 @@ class Bicycle:
 
     @cached_property
     def _places(self) -> dict[str, slice]:
-        """Where in a full state what is remembered beside the bicycle itself is."""
+        """Slices of a full state that hold the components beside the bicycle itself."""
         widths = {
             "factors": len(DRAWN) if self.spread > 0 else 0,
             "age": 1 if self.change_at is not None else 0,
@@ -500,7 +500,7 @@ class Bicycle:
 
     def _speeds(self, start: Tensor) -> tuple[Scalar, Tensor | None, Scalar]:
         """Speed (m/s) before the change, seconds until it from ``start`` on, speed after it; None
-        where there is none."""
+        without a change."""
         if "age" not in self._places:
             speed = self.constants(start).v
             return speed, None, speed

@@ -167,7 +167,7 @@ def saved(bicycle: Ridden, start: Tensor, uniforms: Tensor | None = None) -> Ten
     low = torch.tensor([q.low for q in spec.action], dtype=start.dtype)
     high = torch.tensor([q.high for q in spec.action], dtype=start.dtype)
     if uniforms is None:
-        # Half way between its bounds the disturbance is none, and no gust begins.
+        # At the middle of its range the disturbance is zero, and no gust begins.
         calm = (*start.shape[:-1], spec.disturbance_dim)
         uniforms = torch.full((1, *calm), 0.5, dtype=start.dtype).expand(_steps(bicycle), *calm)
     state, up = start, bicycle.upright(start)

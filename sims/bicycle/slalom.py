@@ -31,10 +31,10 @@ class Slalom(Bicycle):
     All is as in ``sims.bicycle.Bicycle`` (its harder worlds too) but for the following.
     ``angle_to_goal`` is to the middle of the gate that is steered for: the next one, until the
     front tyre is within ``look_ahead`` of its line, where the angle to it begins to run away, and
-    from there the one after it, the last one at the end.  It leaps in between: such a step is none
-    to learn from (``stepped``).  The start points
-    along the line within 0.2 rad either way.  End: FAILED as ever; SUCCEEDED with the last gate if
-    all have been passed; TIMED_OUT with the last gate if not, or after ``time_limit``.
+    from there the one after it, the last one at the end.  It jumps in between; that transition is
+    masked (``stepped``).  The start heading is within 0.2 rad of the line.  End: FAILED as ever;
+    SUCCEEDED with the last gate if all have been passed; TIMED_OUT with the last gate if not, or
+    after ``time_limit``.
 
     A full state is that of the bicycle, followed by the number of gates reached, of gates passed,
     and whether another one has been steered for since the step before.

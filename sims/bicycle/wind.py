@@ -32,7 +32,7 @@ class Gusts:
 
     @property
     def chance(self) -> float:
-        """That a gust begins in a step, when there is none.
+        """Probability that a gust begins in a step without one.
 
         From the last step of a gust it then takes 1 / chance steps on average to the first of the
         next, and the gust itself ``steps`` - 1 more.

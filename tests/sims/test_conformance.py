@@ -207,7 +207,7 @@ class Goalless(Bicycle):
         (Reminiscent, "no new start"),
         (Unwrapped, "beyond its period"),
         (Diverging, "not finite"),
-        (Undecided, "none of Outcome"),
+        (Undecided, "not an Outcome"),
         (Floating, "outcome is torch.float64"),
         (Mismeasured, "measures.seconds"),
         (Undeclared, "spec.measures: {'style'} not among"),
