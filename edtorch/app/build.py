@@ -122,6 +122,7 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
     if config.eval.domain:
         build_sim(evaluated)
     indicator = compiled = None
+    unknowns = 1
     if has_inverse(config):
         check_unobserved(config.observation)
         learner = build_inverse_learner(config, sim, compute.dtype)
@@ -130,6 +131,7 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
     else:
         forward = build_forward(config, world, compute)
         learner, path = forward.learner, forward.path
+        unknowns = forward.learner.model.regressors
         indicator, compiled = forward.indicator, forward.compiled
     # Not before the population is known to fit in memory.
     seeds = list(range(config.seed, config.seed + config.seeds))
@@ -145,7 +147,7 @@ def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) ->
         calm,
         seeds,
         budget,
-        build_schedule(config.schedule, world.dt),
+        build_schedule(config.schedule, world.dt, unknowns),
         card,
         path,
         indicator,

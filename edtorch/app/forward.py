@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TypeVar, cast, get_args
 
 import torch
@@ -10,25 +10,27 @@ from omegaconf import DictConfig
 
 from edtorch.app.checks import at_least
 from edtorch.app.compute import Compute, check_memory
-from edtorch.app.construct import construct
+from edtorch.app.construct import construct, known_keys
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.limit import build_command, build_exploration, check_start, needs_noise
 from edtorch.app.model import build_fit, build_model, build_noise
 from edtorch.app.observation import build_observer
 from edtorch.app.policy import build_policy
-from edtorch.app.reward import build_reward
+from edtorch.app.reward import build_reward, held, is_named
 from edtorch.inverse.forward import tracking
 from edtorch.learner.learner import Learner
-from edtorch.policy.policies import GainedPolicy
-from edtorch.rewards import target_of
+from edtorch.model.models import Model
+from edtorch.policy.policies import GainedPolicy, Policy, gain_of
+from edtorch.rewards import Reward, quadratic_form_of, target_of
 from edtorch.run.scaled_sim import World
 from edtorch.value.choose import Method, choose_path
 from edtorch.value.error_estimate import ValueErrorIndicator
+from edtorch.value.linear.equilibrium import EquilibriumRegulator, HoldSettings
 from edtorch.value.linear.regulator import Regulator
 from edtorch.value.unroll import FromOrigin, Horizon
 
 STARTS = ("state", "origin")
-DIRECTIONS = ("gradient", "regulator")
+DIRECTIONS = ("gradient", "regulator", "equilibrium")
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,39 @@ def _moved(part: _Part, device: torch.device) -> _Part:
     """A part with parameters on the device; one without ``to`` is none of torch's modules."""
     move = getattr(part, "to", None)
     return part if move is None else move(device)
+
+
+def _about_equilibrium(
+    config: DictConfig, world: World, model: Model, policy: Policy, reward: Reward
+) -> EquilibriumRegulator:
+    """The direction ``equilibrium``: targets and weights from the group ``reward``."""
+    group = "unroll.equilibrium"
+    form = quadratic_form_of(reward) if is_named(config.reward) else None
+    if form is None:
+        raise ConfigError(
+            "unroll.direction=equilibrium: expected a quadratic reward; with another one,"
+            " unroll.direction=gradient"
+        )
+    settings = dict(config.unroll.equilibrium)
+    known_keys(group, config.unroll.equilibrium, {f.name for f in fields(HoldSettings)})
+    with under(group):
+        hold = HoldSettings(**settings)
+    if gain_of(policy, policy.initial([0])) is None:
+        raise ConfigError(
+            f"policy._target_={config.policy._target_}: expected an affine policy with"
+            " unroll.direction=equilibrium, policy=affine; or unroll.direction=gradient"
+        )
+    with under("unroll"):
+        return EquilibriumRegulator(
+            model=model,
+            policy=cast(GainedPolicy, policy),
+            dt=world.dt,
+            target=held(config.reward, world.spec),
+            weights={i: float(w) for i, w in enumerate(form.state.diagonal())},
+            middle=world.action_middle,
+            half=world.action_half_range,
+            settings=hold,
+        )
 
 
 def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward:
@@ -117,6 +152,9 @@ def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward
                 model, cast(GainedPolicy, policy), reward, horizon, start_cov
             )
         reason = "Riccati recursion on the learned model"
+    if config.unroll.direction == "equilibrium":
+        path, compilable = _about_equilibrium(config, world, model, policy, reward), None
+        reason = "Riccati recursion about the equilibrium of the learned model"
     tracked = tracking(model, policy, reward, transform, horizon)
     if tracked is not None and config.unroll.path == "auto":
         path, reason, compilable = tracked, "goal-tracking loop, its adjoint written out", None
@@ -137,7 +175,7 @@ def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward
             noise=noise,
             value=path,
             step_rule=construct("step", config.step, "initial"),
-            exploration=build_exploration(config.noise, world.dt),
+            exploration=build_exploration(config.noise, world.dt, model.regressors),
             command=build_command(config.command, world, model, policy, noise),
             observer=observer,
         )

@@ -11,7 +11,7 @@ from edtorch.app.checks import at_least
 from edtorch.app.errors import ConfigError, under
 from edtorch.learner.annealing import Annealed
 from edtorch.learner.limit import CommandLimit, Ramp, Safe
-from edtorch.learner.schedule import Schedule
+from edtorch.learner.schedule import Schedule, schedule_for
 from edtorch.model.models import Model
 from edtorch.model.noise import Noise
 from edtorch.policy.policies import Policy
@@ -111,18 +111,24 @@ def check_start(config: Any, world: World) -> None:
                 )
 
 
-def build_schedule(config: Any, dt: float) -> Schedule:
-    """When the policy is improved, from the group ``schedule``; dt: seconds per tick."""
-    at_least("schedule.often", config.often, 0)
+def build_schedule(config: Any, dt: float, unknowns: int) -> Schedule:
+    """When the policy is improved, from the group ``schedule``; dt: seconds per tick; unknowns: in
+    each equation of the model."""
+    often = None
+    if config.often is not None:
+        at_least("schedule.often", config.often, 0)
+        often = round(config.often / dt)
     with under("schedule"):
-        return Schedule(config.first, round(config.often / dt), config.every)
+        return schedule_for(unknowns, config.first, often, config.every)
 
 
-def build_exploration(config: Any, dt: float) -> float | Annealed:
+def build_exploration(config: Any, dt: float, unknowns: int) -> float | Annealed:
     """The deviation of the exploration, from the group ``noise``."""
     if config.exploration_start is None:
         return config.exploration
     at_least("noise.exploration_start", config.exploration_start, 0)
+    if config.exploration_decay is None:
+        return Annealed(config.exploration_start, config.exploration, 2.0 * unknowns)
     if not config.exploration_decay > 0:
         raise ConfigError(
             f"noise.exploration_decay={config.exploration_decay}: expected a number > 0 (s)"

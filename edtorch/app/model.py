@@ -11,6 +11,7 @@ from edtorch.app.construct import accepts, construct, target_class
 from edtorch.app.errors import ConfigError
 from edtorch.app.features import features_of, without_features
 from edtorch.app.observation import build_deviations
+from edtorch.app.reward import held
 from edtorch.learner.estimator import AnyFit
 from edtorch.model.models import Model
 from edtorch.model.module import as_model
@@ -54,7 +55,10 @@ def build_fit(config: DictConfig, world: World, model: Model) -> AnyFit:
     deviations = build_deviations(config.observation, world)
     offered = target_class("fit", config.fit)
     methods = FITS[1] if getattr(offered, "fits_parameters", False) else FITS[0]
-    fit = construct("fit", config.fit, *methods, model=model, deviations=deviations)
+    more: dict[str, Any] = {"model": model, "deviations": deviations, "states": model.states}
+    if accepts(offered, "target"):
+        more["target"] = held(config.reward, world.spec)
+    fit = construct("fit", config.fit, *methods, **more)
     fits_weights = not (
         getattr(fit, "fits_parameters", False) or getattr(model, "linear_in_parameters", False)
     )

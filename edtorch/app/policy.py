@@ -29,11 +29,18 @@ def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> Policy
     """The policy, as a template for one learner.
 
     A constructor gets what it asks for of ``states`` n, ``actions`` m, ``features`` (from
-    ``policy.features``), ``spec`` and ``dtype``; a module without ``action`` is taken for a
+    ``policy.features``), ``spec``, ``dtype`` and ``middle`` (of the range of each action, scaled);
+    a module without ``action`` is taken for a
     function from states to actions.  Raises ConfigError.
     """
     n, m = len(sim.spec.state), len(sim.spec.action)
-    more: dict[str, Any] = {"states": n, "actions": m, "spec": sim.spec, "dtype": dtype}
+    more: dict[str, Any] = {
+        "states": n,
+        "actions": m,
+        "spec": sim.spec,
+        "dtype": dtype,
+        "middle": World(sim, dtype).action_middle,
+    }
     if is_given(config):
         part = given_part("policy", config)
     elif accepts(target_class("policy", config), "features"):

@@ -22,7 +22,7 @@ from edtorch.rewards import PhysicalReward, QuadraticReward, Reward, quadratic_f
 from sims.base import Quantity, Sim, Spec
 
 QUADRATIC = "edtorch.rewards.QuadraticReward"
-KEYS = {"_target_", "state", "action", "goal", "target", "cross", "linear"}
+KEYS = {"_target_", "state", "action", "goal", "target", "cross", "linear", "by_scale"}
 """Of the quadratic reward, all by the names of components."""
 
 
@@ -246,12 +246,39 @@ def _targets(
     return numbers, others
 
 
+def _by_scale(of_state: dict[str, Any], target: dict[str, Any], spec: Spec) -> dict[str, Any]:
+    """Weights of the state with 1 / scale^2 for each component that has a target and no weight; for
+    all components where none has either."""
+    scales = {q.name: q.scale for q in spec.state}
+    wanted = [name for name in target if name in scales] or (not of_state and scales)
+    return {name: 1 / scales[name] ** 2 for name in wanted or ()} | of_state
+
+
+def held(config: DictConfig, spec: Spec) -> dict[int, float]:
+    """Wanted values by index of the component, scaled units: the targets, or zero for every
+    component with a weight where no target is given.  Raises ConfigError."""
+    index = {q.name: i for i, q in enumerate(spec.state)}
+    target, of_state = _named(config, "target"), _named(config, "state")
+    if config.get("by_scale"):
+        of_state = _by_scale(of_state, target, spec)
+    for name, value in target.items():
+        if isinstance(value, str):
+            raise ConfigError(
+                f"reward.target.{name}={value}: expected a number with unroll.direction=equilibrium"
+            )
+    named = {name: target[name] for name in target if name in index}
+    wanted = named or {name: 0.0 for name, weight in of_state.items() if weight > 0}
+    return {index[name]: value / spec.state[index[name]].scale for name, value in wanted.items()}
+
+
 def _quadratic(
     config: DictConfig, spec: Spec, dtype: torch.dtype, device: torch.device | None
 ) -> QuadraticReward:
     known_keys("reward", config, KEYS)
     goal, of_state = config.get("goal") or 0.0, _named(config, "state")
     at_least("reward.goal", goal, 0)
+    if config.get("by_scale"):
+        of_state = _by_scale(of_state, _named(config, "target"), spec)
     linear, cross = _named(config, "linear"), _cross(config, spec)
     if not (goal > 0 or any(weight > 0 for weight in of_state.values()) or linear or cross):
         names = ", ".join(q.name for q in spec.state)

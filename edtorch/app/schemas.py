@@ -288,7 +288,8 @@ class RewardConfig:
     """``edtorch.rewards.QuadraticReward`` by names of components, physical units: minus weights of
     squared deviations of state and action from their target (a number, or another component), of
     products (cross: triples NAME, NAME, WEIGHT), of components themselves (linear), and of the
-    squared distance from the goal, in a domain that has one."""
+    squared distance from the goal, in a domain that has one; by_scale: components with a target and
+    no weight, or all where none has either, weigh 1 / scale^2."""
 
     _target_: str = "edtorch.rewards.QuadraticReward"
     state: dict[str, float] = field(default_factory=dict)
@@ -297,6 +298,7 @@ class RewardConfig:
     target: dict[str, Any] = field(default_factory=dict)
     cross: list[Any] = field(default_factory=list)
     linear: dict[str, float] = field(default_factory=dict)
+    by_scale: bool = False
 
 
 @dataclass
@@ -328,7 +330,7 @@ class NoiseConfig:
     _target_: str = MISSING
     exploration: float = 0.05
     exploration_start: float | None = None
-    exploration_decay: float = 0.3
+    exploration_decay: float | None = 0.3
     rate: float = 1.0
 
 
@@ -357,7 +359,8 @@ class MonteCarloConfig(TransformConfig):
 class UnrollConfig:
     """horizon: steps; dt: seconds a step (derivative form); discount: per second, or per step;
     start: state, of the moment, or origin; start_deviation: scaled standard deviation of the belief
-    that it starts from; direction: gradient, or regulator (Riccati's, with step=full); path: auto,
+    that it starts from; direction: gradient, regulator or equilibrium (Riccati's, with step=full;
+    the latter with the settings ``equilibrium``); path: auto,
     closed_form or generic; reading: figure or definition, see ``edtorch.value.unroll.Horizon``."""
 
     horizon: int = 30
@@ -366,6 +369,7 @@ class UnrollConfig:
     start: str = "state"
     start_deviation: float = 0.0
     direction: str = "gradient"
+    equilibrium: dict[str, float] = field(default_factory=dict)
     path: str = "auto"
     reading: str = "figure"
 
@@ -373,10 +377,11 @@ class UnrollConfig:
 @dataclass
 class ScheduleConfig:
     """first: tick of the first improvement of the policy; often: seconds up to which every tick
-    improves it; every: ticks from one improvement to the next after that."""
+    improves it; every: ticks from one improvement to the next after that.  null: chosen for the
+    size of the model, see ``edtorch.learner.schedule.schedule_for``."""
 
-    first: int = 1
-    often: float = 0.0
+    first: int | None = 1
+    often: float | None = 0.0
     every: int = 1
 
 

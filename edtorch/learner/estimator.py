@@ -59,6 +59,10 @@ class Estimator(Protocol):
         """Step 1; unit: what a rate is multiplied with."""
         ...
 
+    def describe(self, memory: Parameters) -> Parameters:
+        """What value paths may use of the data beside the model's parameters, ``[B, ...]``."""
+        ...
+
 
 def estimator_of(fit: AnyFit, model: Model, observer: Observer | None) -> Estimator:
     """The estimator for what ``fit`` says of itself.
@@ -97,6 +101,11 @@ class Regression:
     model: Model
     needs_autograd: bool = False
 
+    def describe(self, memory: Parameters) -> Parameters:
+        """As the rule says, if it says anything (``describe``)."""
+        offered = getattr(self.fit, "describe", None)
+        return {} if offered is None else offered(memory)
+
     def initial(self, model: Parameters) -> Parameters:
         """See ``Estimator``."""
         return self.fit.initial(model["weight"])
@@ -124,6 +133,10 @@ class ByGradient:
     fit: ParameterFit
     model: Model
     needs_autograd: bool = True
+
+    def describe(self, memory: Parameters) -> Parameters:
+        """Nothing."""
+        return {}
 
     def initial(self, model: Parameters) -> Parameters:
         """See ``Estimator``."""
@@ -155,6 +168,10 @@ class Filtering:
     fit: JointFilter
     observer: Observer
     needs_autograd: bool = False
+
+    def describe(self, memory: Parameters) -> Parameters:
+        """Nothing."""
+        return {}
 
     def initial(self, model: Parameters) -> Parameters:
         """See ``Estimator``."""

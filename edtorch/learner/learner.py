@@ -243,7 +243,8 @@ class Learner:
             return learned, Metrics(None, None, error, finite, None)
 
         # 3-6: value and gradient from where the transition ended; 7: the policy.
-        here = self.value(learned.model, state.policy, learned.noise, lesson.end)
+        known = learned.model | self.estimator.describe(learned.fit)
+        here = self.value(known, state.policy, learned.noise, lesson.end)
         size = gradient_norm(here.gradient)
         value_ok = torch.isfinite(here.value + size)
         policy, step = self.step_rule(state.policy, here.gradient, state.step, unit)

@@ -27,5 +27,16 @@ class Schedule:
         return clock >= self.first and (clock <= self.often or clock % self.every == 0)
 
 
+def schedule_for(unknowns: int, first: int | None, often: int | None, every: int) -> Schedule:
+    """With what is None chosen for a model of that many unknowns in each equation: the first
+    improvement after as many ticks, and one at every tick up to ``SETTLED``."""
+    return Schedule(
+        unknowns if first is None else first, SETTLED if often is None else often, every
+    )
+
+
+SETTLED = 1000
+"""Ticks after which a policy that is improved at each of them hardly changes any more."""
+
 ALWAYS = Schedule()
 """At each tick, as in Fig. 1."""

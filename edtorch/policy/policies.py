@@ -123,6 +123,29 @@ class LinearPolicy(nn.Module):
         return {"weight": torch.cat([gain.constant.unsqueeze(-1), gain.state], dim=-1)}
 
 
+class CentredPolicy(LinearPolicy):
+    """An affine policy that starts at the middle of the range of each action.
+
+    middle ``[m]``: scaled.  Where the range is not symmetric about zero (a thrust), zero is a
+    bound. ValueError unless the features begin with a constant.
+    """
+
+    def __init__(
+        self,
+        states: int,
+        actions: int,
+        features: FeatureMap,
+        middle: Tensor,
+        dtype: torch.dtype = torch.float64,
+    ) -> None:
+        super().__init__(states, actions, features, dtype)
+        gain = self.linear_gain({"weight": self.weight})
+        if gain is None or gain.constant is None:
+            raise ValueError("features: expected affine ones, for the constant that it starts at")
+        with torch.no_grad():
+            self.weight[:, 0] = middle
+
+
 class SquashedPolicy(LinearPolicy):
     """pi(s) = tanh(theta . phi(s)): actions bounded by their scale, smooth at the bound."""
 

@@ -72,6 +72,18 @@ class World:
             self._farthest = self._tensor(farthest)
             self._turns = self._tensor([q.scale / q.period if q.period else 0.0 for q in state])
 
+    @property
+    def action_middle(self) -> Tensor:
+        """The middle of the range of each action ``[m]``, scaled; 0 where it is unbounded."""
+        bounded = self._low.isfinite() & self._high.isfinite()
+        return torch.where(bounded, (self._low + self._high) / 2, 0.0)
+
+    @property
+    def action_half_range(self) -> Tensor:
+        """Half the range of each action ``[m]``, scaled; 1 where it is unbounded."""
+        bounded = self._low.isfinite() & self._high.isfinite()
+        return torch.where(bounded, (self._high - self._low) / 2, 1.0)
+
     def _tensor(self, numbers: float | list[float]) -> Tensor:
         return torch.tensor(numbers, dtype=self.dtype, device=self.device)
 
