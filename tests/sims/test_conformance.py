@@ -17,6 +17,8 @@ from sims.conformance import check
 from sims.from_gymnasium import GymnasiumSim
 from sims.linear import LinearSystem
 from sims.sensing import Sensed
+from sims.tasks.cart_pole import CartPole
+from sims.tasks.quadrotor import Quadrotor
 
 ALL_AT_ONCE: dict[str, Any] = {
     "spread": 0.3,
@@ -44,6 +46,8 @@ SIMS: dict[str, Callable[[], Sim]] = {
     "slalom, all at once, sensed": lambda: Sensed(Slalom(**ALL_AT_ONCE), {"lean_rate": 0.1}, 3),
     "linear, sensed": lambda: Sensed(LinearSystem([[1.0]], [[1.0]]), {"s0": 0.1}, 2),
     "linear": lambda: LinearSystem([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.5]]),
+    "cart-pole": lambda: CartPole(push=2.0),
+    "quadrotor": Quadrotor,
     "pendulum": lambda: GymnasiumSim("Pendulum-v1"),
     "mountain car": lambda: GymnasiumSim(
         "MountainCarContinuous-v0", dt=0.02, termination="success"

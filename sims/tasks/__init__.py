@@ -1,0 +1,1 @@
+"""Standard control tasks: a cart-pole, a quadrotor, a pendulum near upright."""
