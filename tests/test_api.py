@@ -57,14 +57,13 @@ def _same_as_command(run: Run, folder: Path) -> None:
 
 @pytest.mark.oracle
 def test_numbers_are_those_of_the_command_for_an_environment(tmp_path: Path) -> None:
-    overrides = ("fit=squared", *QUICK)
     run = edtorch.learn(
         "Pendulum-v1",
         weights={"state_1": 2.0},
         seconds=3,
         seeds=2,
         seed=5,
-        overrides=overrides,
+        overrides=QUICK,
         progress=False,
     )
     call(
@@ -73,11 +72,11 @@ def test_numbers_are_those_of_the_command_for_an_environment(tmp_path: Path) -> 
         "domain=gymnasium",
         "domain.env_id=Pendulum-v1",
         "+reward.state={state_0: 1.0, state_1: 2.0, state_2: 0.015625}",
-        "+reward.action={action_0: 0.025}",
+        "+reward.action={action_0: 0.25}",
         "train.seconds=3",
         "seeds=2",
         "seed=5",
-        *overrides,
+        *QUICK,
         f"hydra.run.dir={tmp_path / 'run'}",
     )
     _same_as_command(run, tmp_path / "run")

@@ -19,7 +19,7 @@ from sims.base import Quantity, Sim, Spec
 RATE_WEIGHT = 0.01
 """Weight of a rate that ``target`` does not name, on the scale on which a named component has 1."""
 
-ACTION_WEIGHT = 0.1
+ACTION_WEIGHT = 1.0
 """Weight of an action, on the same scale."""
 
 GYMNASIUM = "sims.from_gymnasium.GymnasiumSim"
@@ -136,7 +136,7 @@ def reward_of(
                 f"weights.{name}={weight}: expected one of {', '.join([*states, *actions])}"
             )
         (state if name in states else action)[name] = float(weight)
-    wanted = {name: float(value) for name, value in (target or {}).items() if value}
+    wanted = {name: float(value) for name, value in (target or {}).items()}
     return {"state": state, "action": action} | ({"target": wanted} if wanted else {})
 
 

@@ -18,6 +18,7 @@ from edtorch.app.observation import build_observer
 from edtorch.app.policy import build_policy
 from edtorch.app.reward import build_reward, held, is_named
 from edtorch.inverse.forward import tracking
+from edtorch.learner.estimator import AnyFit
 from edtorch.learner.learner import Learner
 from edtorch.model.models import Model
 from edtorch.policy.policies import GainedPolicy, Policy, gain_of
@@ -53,7 +54,12 @@ def _moved(part: _Part, device: torch.device) -> _Part:
 
 
 def _about_equilibrium(
-    config: DictConfig, world: World, model: Model, policy: Policy, reward: Reward
+    config: DictConfig,
+    world: World,
+    model: Model,
+    policy: Policy,
+    reward: Reward,
+    fit: AnyFit,
 ) -> EquilibriumRegulator:
     """The direction ``equilibrium``: targets and weights from the group ``reward``."""
     group = "unroll.equilibrium"
@@ -67,6 +73,19 @@ def _about_equilibrium(
     known_keys(group, config.unroll.equilibrium, {f.name for f in fields(HoldSettings)})
     with under(group):
         hold = HoldSettings(**settings)
+    if not hasattr(fit, "describe"):
+        raise ConfigError(
+            f"fit._target_={config.fit._target_}: expected a fit that knows the centre and the"
+            " excursions of its data with unroll.direction=equilibrium; fit=local"
+        )
+    prices = torch.ones_like(world.action_middle)
+    if bool(form.action.any()):
+        prices = form.action.diagonal()
+    if not bool((prices > 0).all()):
+        raise ConfigError(
+            f"reward.action={dict(config.reward.action)}: expected a weight > 0 for every action,"
+            " or for none, with unroll.direction=equilibrium"
+        )
     if gain_of(policy, policy.initial([0])) is None:
         raise ConfigError(
             f"policy._target_={config.policy._target_}: expected an affine policy with"
@@ -79,6 +98,7 @@ def _about_equilibrium(
             dt=world.dt,
             target=held(config.reward, world.spec),
             weights={i: float(w) for i, w in enumerate(form.state.diagonal())},
+            prices=prices,
             middle=world.action_middle,
             half=world.action_half_range,
             settings=hold,
@@ -153,7 +173,7 @@ def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward
             )
         reason = "Riccati recursion on the learned model"
     if config.unroll.direction == "equilibrium":
-        path, compilable = _about_equilibrium(config, world, model, policy, reward), None
+        path, compilable = _about_equilibrium(config, world, model, policy, reward, fit), None
         reason = "Riccati recursion about the equilibrium of the learned model"
     tracked = tracking(model, policy, reward, transform, horizon)
     if tracked is not None and config.unroll.path == "auto":

@@ -104,9 +104,9 @@ class EquilibriumRegulator:
 
     model: linear with a constant, policy: linear with a constant (ValueError otherwise); dt:
     seconds per tick of the world; target: wanted values by index of the component, scaled units;
-    weights: factors of Q by index (1 where there is none); middle, half ``[m]``: of the range of
-    the actions, scaled.  Model parameters must include ``centre`` and ``excursion``
-    (``edtorch.model.fit_local``).
+    weights: factors of Q by index (1 where there is none); prices ``[m]``: factors of R; middle,
+    half ``[m]``: of the range of the actions, scaled.  Model parameters must include ``centre``
+    and ``excursion`` (``edtorch.model.fit_local``).
     """
 
     model: Model
@@ -114,6 +114,7 @@ class EquilibriumRegulator:
     dt: float
     target: Mapping[int, float]
     weights: Mapping[int, float]
+    prices: Tensor
     middle: Tensor
     half: Tensor
     settings: HoldSettings = HoldSettings()
@@ -156,7 +157,7 @@ class EquilibriumRegulator:
             for i in range(n)
         ]
         Q = torch.diag_embed(centre.new_tensor(factors) / excursion.square())
-        R = torch.diag(settings.price / self.half.square())
+        R = torch.diag(settings.price * self.prices / self.half.square())
         F, G = dynamics.state, dynamics.action
         K = doubled_lqr(F, G, Q, R, doublings=settings.doublings)
         new = LinearGain(K, action - matvec(K, where))

@@ -22,6 +22,7 @@ def _lagrangian(q: Tensor, dq: Tensor) -> Tensor:
     return 0.5 * kinetic - POLE * G * LENGTH / 2 * angle.cos()
 
 
+@pytest.mark.filterwarnings("ignore:`torch.jit.*:DeprecationWarning")  # of torch itself
 def test_lagranges_equations() -> None:
     generator = torch.Generator().manual_seed(0)
     for _ in range(5):
@@ -36,7 +37,7 @@ def test_lagranges_equations() -> None:
         assert found[0] == speed and found[2] == rate
 
 
-def test_steps_converge_with_the_fourth_order() -> None:
+def test_steps_converge_with_the_fourth_order_at_least() -> None:
     start = torch.tensor([0.0, 0.5, 0.2, -0.3]).double()
     action, nothing = torch.tensor([4.0]).double(), torch.zeros(0).double()
 
@@ -48,7 +49,7 @@ def test_steps_converge_with_the_fourth_order() -> None:
 
     exact = after(64)
     errors = [(after(ticks) - exact).norm().item() for ticks in (4, 8)]
-    assert errors[0] / errors[1] == pytest.approx(16, rel=0.25)
+    assert errors[0] / errors[1] > 14
 
 
 def test_ends() -> None:

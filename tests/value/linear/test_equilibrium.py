@@ -38,7 +38,9 @@ def _regulator(**settings: float) -> EquilibriumRegulator:
     policy = LinearPolicy(2, 1, Affine(2))
     middle, half = torch.zeros(1).double(), torch.full((1,), 10.0).double()
     hold = HoldSettings(**settings)  # pyright: ignore[reportArgumentType]
-    return EquilibriumRegulator(model, policy, DT, {0: 0.5}, {}, middle, half, hold)
+    return EquilibriumRegulator(
+        model, policy, DT, {0: 0.5}, {}, torch.ones(1).double(), middle, half, hold
+    )
 
 
 def _model(weight: Tensor) -> Parameters:
@@ -118,7 +120,14 @@ def test_both_forms_of_the_model_give_the_same_policy() -> None:
     derivative = _regulator()
     model = NextStateModel(2, 1, Affine(3), NONE)
     following = EquilibriumRegulator(
-        model, derivative.policy, DT, {0: 0.5}, {}, derivative.middle, derivative.half
+        model,
+        derivative.policy,
+        DT,
+        {0: 0.5},
+        {},
+        derivative.prices,
+        derivative.middle,
+        derivative.half,
     )
     policy = _policy(0.0, 0.0, 0.0)
     one = derivative(_model(weight), policy, {}, NONE[None])
@@ -187,10 +196,10 @@ def test_parts_without_a_constant_are_refused() -> None:
     one, affine = torch.ones(1).double(), LinearPolicy(2, 1, Affine(2))
     plain = DerivativeModel(2, 1, Identity(3), NONE)
     with pytest.raises(ValueError, match=r"expected a model that is linear with a constant"):
-        EquilibriumRegulator(plain, affine, DT, {}, {}, 0 * one, one)
+        EquilibriumRegulator(plain, affine, DT, {}, {}, one, 0 * one, one)
     model = DerivativeModel(2, 1, Affine(3), NONE)
     with pytest.raises(ValueError, match=r"expected a policy that is linear with a constant"):
-        EquilibriumRegulator(model, LinearPolicy(2, 1, Identity(2)), DT, {}, {}, 0 * one, one)
+        EquilibriumRegulator(model, LinearPolicy(2, 1, Identity(2)), DT, {}, {}, one, 0 * one, one)
 
 
 def test_every_learner_has_its_own_equilibrium() -> None:
