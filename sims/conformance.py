@@ -9,7 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from sims.base import Lasting, Outcome, Sim, Spec, spec_index
+from sims.base import Judged, Lasting, Losing, Outcome, Rewarded, Sim, Spec, spec_index
 
 Shape = tuple[int, ...]
 
@@ -26,8 +26,8 @@ def check(
     Checked, with random actions, in float64: the spec; shapes for every batch of ``batches``;
     finite states; the same uniforms giving the same digits; rows of a batch equal, bit for bit, to
     batches of one; arguments left as they were; restarts of some rows only, which leave alone what
-    lasts (``sims.base.Lasting``); outcomes; measures; observations within their periods and bounds;
-    goals constant during an episode.
+    lasts (``sims.base.Lasting``); outcomes; rewards, successes and faults, where offered; measures;
+    observations within their periods and bounds; goals constant during an episode.
 
     ``sim``: a sim, or a function that makes one, for sims with a memory of their own.
     """
@@ -143,6 +143,7 @@ def _check_batch(
         _expect(outcome.dtype == torch.int64, spec, f"{where}: outcome is {outcome.dtype}")
         known = all(int(value) in list(Outcome) for value in outcome.reshape(-1))
         _expect(known, spec, f"{where}: outcome {outcome.tolist()} is not an Outcome")
+        _check_judgement(sim, state, where)
     goal = spec_index(spec, spec.goal)
     for k, state in enumerate(states):
         same = torch.equal(sim.observe(state)[..., goal], sim.observe(states[0])[..., goal])
@@ -161,6 +162,25 @@ def _check_batch(
     same = all(torch.equal(a, b) for a, b in zip(states, again, strict=True))
     _expect(same, spec, f"batch {batch}: other digits from the same uniforms and actions")
     return measures
+
+
+def _check_judgement(sim: Sim, state: Tensor, where: str) -> None:
+    """What a sim may say of reward, success and faults."""
+    offered: dict[str, tuple[Tensor, torch.dtype]] = {}
+    if isinstance(sim, Rewarded):
+        offered["total_reward"] = sim.total_reward(state), torch.float64
+    if isinstance(sim, Judged):
+        offered["succeeded"] = sim.succeeded(state), torch.int64
+    if isinstance(sim, Losing):
+        offered["lost"] = sim.lost(state), torch.bool
+    for name, (found, dtype) in offered.items():
+        right = (found.shape, found.dtype) == (state.shape[:-1], dtype)
+        expected = f"expected {_of(state[..., 0])} of {dtype}"
+        _expect(right, sim.spec, f"{where}: {name}: {_of(found)} of {found.dtype}, {expected}")
+    if "succeeded" in offered:
+        found = offered["succeeded"][0]
+        known = bool(((found >= -1) & (found <= 1)).all())
+        _expect(known, sim.spec, f"{where}: succeeded: expected -1, 0 or 1, not {found.tolist()}")
 
 
 def _check_restart(

@@ -166,6 +166,27 @@ class Undeclared(Bicycle):
         return replace(super().spec, measures=(Measure("style", "style"),))
 
 
+class Stingy(Bicycle):
+    """One reward for the whole batch."""
+
+    def total_reward(self, state: Tensor) -> Tensor:
+        return state.sum()
+
+
+class Wavering(Bicycle):
+    """Half a success."""
+
+    def succeeded(self, state: Tensor) -> Tensor:
+        return torch.full(state.shape[:-1], 0.5)
+
+
+class Lossy(Bicycle):
+    """Counts what it should decide."""
+
+    def lost(self, state: Tensor) -> Tensor:
+        return torch.zeros(state.shape[:-1], dtype=torch.int64)
+
+
 class Misnamed(Bicycle):
     """Shows a component that it has not."""
 
@@ -215,6 +236,9 @@ class Goalless(Bicycle):
         (Floating, "outcome is torch.float64"),
         (Mismeasured, "measures.seconds"),
         (Undeclared, "spec.measures: {'style'} not among"),
+        (Stingy, "total_reward"),
+        (Wavering, "of torch.float32, expected"),
+        (Lossy, "of torch.int64, expected"),
         (Misnamed, "headline"),
         (Short, "observation of shape"),
         (MovingGoal, "the goal has moved"),
