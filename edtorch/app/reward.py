@@ -128,7 +128,7 @@ def _callable(
         made = construct("reward", config, **more)
         if not callable(made):
             raise ConfigError(f"reward._target_={name}: has no __call__(state, action)")
-        return made
+        return cast(Callable[..., Tensor], made)
     if not callable(target):
         raise ConfigError(f"reward._target_={name}: expected a class or a function")
     accepted = set(list(inspect.signature(target).parameters)[2:])

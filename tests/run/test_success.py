@@ -11,6 +11,7 @@ import torch
 from gymnasium import spaces
 from torch import Tensor
 
+from edtorch.model.features import Identity
 from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.run.episodes import Episode
@@ -52,7 +53,7 @@ def test_return_of_training_is_the_sum_over_time() -> None:
 
 def test_return_of_an_evaluation_is_the_sum_over_time() -> None:
     world, weight = rewarded_world(), f64([[[-0.1, 0.4]], [[0.3, -0.5]]])
-    policy, states = LinearPolicy(2, 1, linear_learner().policy.features), []
+    policy, states = LinearPolicy(2, 1, Identity(2)), []
     found = evaluate(policy, {"weight": weight}, world, [5, 6], 3, watch=states.append)
     keys = [stream_key(s, Purpose.EVALUATION, e) for s in (5, 6) for e in range(3)]
     start = starts(world, [5, 6], 3, Streams(keys, world.uniforms, 0).at(0).uniform)
@@ -100,7 +101,7 @@ def toy(env_id: str = "Toy-v0", **kwargs: Any) -> GymnasiumSim:
 def tried(sim: Any, least: float | None = None) -> Episode:
     """An episode of a policy that does nothing."""
     n = len(sim.spec.state)
-    policy = LinearPolicy(n, 1, linear_learner().policy.features)
+    policy = LinearPolicy(n, 1, Identity(n))
     zero = {"weight": torch.zeros(1, 1, n, dtype=torch.float64)}
     ((episode,),) = evaluate(policy, zero, World(sim, reward=REWARD, success_return=least), [0], 1)
     return episode
@@ -196,6 +197,6 @@ def test_lost_episodes_are_counted_and_left_out() -> None:
         assert int(training.worlds.episodes[row]) == len(own) + bad
     assert {e.outcome for e in training.episodes} == {LATE}
     assert training.worlds.failures.tolist() == [0, 0]
-    policy = LinearPolicy(2, 1, linear_learner().policy.features)
+    policy = LinearPolicy(2, 1, Identity(2))
     (found,) = evaluate(policy, {"weight": torch.zeros(1, 1, 2).double()}, World(sim), [0], 40)
     assert 0 < len(found) < 40 and {e.outcome for e in found} == {LATE}

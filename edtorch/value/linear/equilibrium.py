@@ -25,7 +25,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from edtorch.linalg import matvec
-from edtorch.model.models import Model
+from edtorch.model.models import Model, dynamics_of
 from edtorch.policy.policies import GainedPolicy, LinearGain
 from edtorch.types import Parameters
 from edtorch.value.linear.lqr import doubled_lqr
@@ -121,7 +121,7 @@ class EquilibriumRegulator:
     needs_autograd: bool = False
 
     def __post_init__(self) -> None:
-        dynamics = self.model.linear_dynamics(self.model.initial([0]), self.dt)
+        dynamics = dynamics_of(self.model, self.model.initial([0]), self.dt)
         gain = self.policy.linear_gain(self.policy.initial([0]))
         for key, part in (("model", dynamics), ("policy", gain)):
             if part is None or part.constant is None:
@@ -134,7 +134,7 @@ class EquilibriumRegulator:
         self, model: Parameters, policy: Parameters, noise: Parameters, state: Tensor
     ) -> ValueGradient:
         """See ``ValuePath``; the gradient is the difference to the regulator, state is not used."""
-        dynamics, old = self.model.linear_dynamics(model, self.dt), self.policy.linear_gain(policy)
+        dynamics, old = dynamics_of(self.model, model, self.dt), self.policy.linear_gain(policy)
         assert dynamics is not None and old is not None  # checked when it was made
         assert dynamics.constant is not None and old.constant is not None
         settings, n = self.settings, dynamics.drift.shape[-1]
@@ -160,7 +160,8 @@ class EquilibriumRegulator:
         R = torch.diag(settings.price * self.prices / self.half.square())
         F, G = dynamics.state, dynamics.action
         K = doubled_lqr(F, G, Q, R, doublings=settings.doublings)
-        new = LinearGain(K, action - matvec(K, where))
+        constant = action - matvec(K, where)
+        new = LinearGain(K, constant)
         # What the model does not keep still at the equilibrium, per tick.
         left = matvec(dynamics.drift, where) + matvec(G, action) + dynamics.constant
 
@@ -175,7 +176,7 @@ class EquilibriumRegulator:
         better = (new_cost < (1 - settings.gain) * unstable)[..., None]
         change = LinearGain(
             torch.where(better[..., None], new.state - old.state, 0.0),
-            torch.where(better, new.constant - old.constant, 0.0),
+            torch.where(better, constant - old.constant, 0.0),
         )
         value = -torch.where(better.squeeze(-1), new_cost, old_cost)
         return ValueGradient(value.nan_to_num(-1e300, 1e300, -1e300), self.policy.of_gain(change))
