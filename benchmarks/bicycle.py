@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from hydra import compose, initialize_config_module
 
-from edtorch.app import schemas
 from edtorch.app.build import Setup, build
+from edtorch.app.compose import compose
 from edtorch.compiled.tiles import Tiles
 from edtorch.run.random import Purpose, Streams, stream_key
 from edtorch.run.training import Training
@@ -26,21 +25,18 @@ def paper_setup(
     precision: str = "float64",
 ) -> Setup:
     """experiment=bicycle_paper with ``size`` learners that never stop."""
-    schemas.register()
     transform = "first" if covariance else "mean_only"
-    with initialize_config_module("conf", version_base="1.3"):
-        config = compose(
-            "train",
-            [
-                "experiment=bicycle_paper",
-                f"seeds={size}",
-                f"transform={transform}",
-                f"unroll.path={path}",
-                "train.seconds=1e9",
-                f"compute.compile={compile}",
-                f"compute.precision={precision}",
-            ],
-        )
+    config = compose(
+        [
+            "experiment=bicycle_paper",
+            f"seeds={size}",
+            f"transform={transform}",
+            f"unroll.path={path}",
+            "train.seconds=1e9",
+            f"compute.compile={compile}",
+            f"compute.precision={precision}",
+        ],
+    )
     return build(config)
 
 

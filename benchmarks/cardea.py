@@ -18,12 +18,11 @@ from pathlib import Path
 from statistics import median
 
 import torch
-from hydra import compose, initialize_config_module
 from torch import Tensor
 
 from benchmarks.timing import Work, cpu_seconds, interleaved, print_table, write_json
-from edtorch.app import schemas
 from edtorch.app.build import Setup, build
+from edtorch.app.compose import compose
 from edtorch.inverse.learner import InverseLearner
 from edtorch.run.training import Training
 
@@ -50,8 +49,7 @@ BLOCK = 100
 
 
 def setup(*overrides: str) -> Setup:
-    with initialize_config_module("conf", version_base="1.3"):
-        return build(compose("train", list(overrides)))
+    return build(compose(overrides))
 
 
 def learners(size: int, *overrides: str) -> Training:
@@ -100,7 +98,6 @@ def main() -> None:
         print("left out: needs PyBullet, the extra [cardea]")
         return
     torch.set_num_threads(1)
-    schemas.register()
 
     trainings = {name: learners(1, *overrides) for name, overrides in RUNS.items()}
     found: dict[str, dict[str, float]] = {}

@@ -13,11 +13,10 @@ from functools import partial
 from pathlib import Path
 
 import torch
-from hydra import compose, initialize_config_module
 
 from benchmarks.timing import Work, interleaved, print_table, write_json
-from edtorch.app import schemas
 from edtorch.app.build import Setup, build
+from edtorch.app.compose import compose
 from edtorch.compiled.tiles import Tiles
 from edtorch.learner.schedule import ALWAYS, Schedule
 from edtorch.run.training import Training
@@ -30,10 +29,8 @@ RIDE = 35_800
 
 def setup_of(size: int) -> Setup:
     """The experiment, for learners that never stop."""
-    schemas.register()
-    with initialize_config_module("conf", version_base="1.3"):
-        overrides = [f"seeds={size}", "train.seconds=1e6", "train.rides=null", "compute.compile=on"]
-        return build(compose("train", ["experiment=bicycle", *overrides]))
+    overrides = [f"seeds={size}", "train.seconds=1e6", "train.rides=null", "compute.compile=on"]
+    return build(compose(["experiment=bicycle", *overrides]))
 
 
 def blocks(setup: Setup, schedule: Schedule) -> Work:

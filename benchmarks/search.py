@@ -19,10 +19,9 @@ from pathlib import Path
 
 import numba  # pyright: ignore[reportMissingImports]
 import torch
-from hydra import compose, initialize_config_module
 
 from benchmarks.search_peer import ride, search_serially
-from edtorch.app import schemas
+from edtorch.app.compose import compose
 from edtorch.app.random_search import SearchSetup, build_search
 from edtorch.rivals.episodes import Tile
 from edtorch.rivals.random_search import RandomSearch, episode_key, policy_weights, search
@@ -35,10 +34,7 @@ RIDES_ON = 341
 
 def setup_of(policies: int) -> SearchSetup:
     """Footnote 1, five features."""
-    with initialize_config_module("conf", version_base="1.3"):
-        return build_search(
-            compose("train", ["experiment=footnote1", f"rival.policies={policies}"])
-        )
+    return build_search(compose(["experiment=footnote1", f"rival.policies={policies}"]))
 
 
 def cpu_s(work: Callable[[], object]) -> float:
@@ -123,7 +119,6 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    schemas.register()
     setup = setup_of(options.policies)
     inner = inner_loop(setup, options.slots, options.rounds)
     peer = inner["numba, scalar"]["million_steps_per_cpu_s"]

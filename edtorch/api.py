@@ -15,11 +15,8 @@ from typing import Any
 
 import gymnasium
 import torch
-from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig
 from rich.console import Console
 
-from edtorch.app import schemas
 from edtorch.app.arguments import (
     World,
     budget_overrides,
@@ -29,6 +26,7 @@ from edtorch.app.arguments import (
     reward_of,
 )
 from edtorch.app.build import build
+from edtorch.app.compose import compose
 from edtorch.app.domain import build_sim
 from edtorch.app.errors import EXPECTED, ConfigError, one_line
 from edtorch.app.given import Given, with_objects
@@ -36,15 +34,13 @@ from edtorch.app.job import Job
 from edtorch.app.learned import Run, copied, read_records, read_summary
 from edtorch.app.outputs import Memory, write_run
 from edtorch.app.policies import frozen_world, stored_policies
-from edtorch.app.rundir import POLICY, SUMMARY, load_config
+from edtorch.app.rundir import POLICY, SUMMARY, as_settings, read_config
+from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.run.log import ConsoleSink, Sink, StderrHandler
 from sims.base import Sim
 
 logger = logging.getLogger("edtorch")
-
-CONF = Path(__file__).resolve().parents[1] / "conf"
-"""Found beside the package: a user's own folder ``conf`` may come first on the path."""
 
 Env = str | gymnasium.Env[Any, Any] | Callable[[], gymnasium.Env[Any, Any]] | Sim
 Reward = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
@@ -102,7 +98,7 @@ def learn(
     stop, began = Stop(), time.monotonic()
     console = Console(quiet=not progress)
     with _refusing():
-        config = _composed(
+        config = compose(
             [
                 f"experiment={preset}",
                 f"seed={seed}",
@@ -161,12 +157,14 @@ def load(
     """
     path = Path(folder)
     with _refusing():
-        config = load_config(path)
+        content = Settings(read_config(path))
         if env is not None:
-            config = _replaced_env(config, env)
+            content = _replaced_env(content, env)
         if reward is not None:
-            config = with_objects(config, {"reward": _reward_node(reward)})
-        _check_trust(config, trust)
+            content = with_objects(content, {"reward": _reward_node(reward)})
+        # Before the settings are checked, which imports the classes that they name.
+        _check_trust(content, trust)
+        config = as_settings(path, content)
         world = frozen_world(config, path / POLICY)
         stored = stored_policies(config, path / POLICY, world)
         summary = read_summary(path / SUMMARY)
@@ -181,13 +179,6 @@ def load(
             write=copied(path),
             interrupted=not summary,
         )
-
-
-def _composed(overrides: Sequence[str]) -> DictConfig:
-    schemas.register()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        composed = compose("train", list(overrides))
-    return composed
 
 
 @contextlib.contextmanager
@@ -244,8 +235,8 @@ def _run(job: Job, memory: Memory, console: Console) -> bool:
 
 
 def _with_world(
-    config: DictConfig, env: Env | None, world: World, target: Mapping[str, float] | None
-) -> DictConfig:
+    config: Settings, env: Env | None, world: World, target: Mapping[str, float] | None
+) -> Settings:
     if env is not None:
         return with_objects(config, {"domain": domain_of(env, world, target or {})})
     told = world.given()
@@ -255,12 +246,12 @@ def _with_world(
 
 
 def _with_reward(
-    config: DictConfig,
+    config: Settings,
     env: Env | None,
     target: Mapping[str, float] | None,
     weights: Mapping[str, float] | None,
     reward: Reward | None,
-) -> DictConfig:
+) -> Settings:
     if reward is not None:
         for name, value in (("target", target), ("weights", weights)):
             if value is not None:
@@ -277,7 +268,7 @@ def _reward_node(reward: Reward) -> dict[str, Any]:
     return {"given": Given(reward)}
 
 
-def _check_copies(config: DictConfig, seeds: int) -> None:
+def _check_copies(config: Settings, seeds: int) -> None:
     """Refuse several seeds, or evaluation on the way, for the only copy of an environment."""
     if getattr(build_sim(config.domain), "most_rows", None) is None:
         return
@@ -289,7 +280,7 @@ def _check_copies(config: DictConfig, seeds: int) -> None:
         )
 
 
-def _replaced_env(config: DictConfig, env: Env) -> DictConfig:
+def _replaced_env(config: Settings, env: Env) -> Settings:
     node = domain_of(env, World(), {})
     if "given" in node or "given" in config.domain:
         return with_objects(config, {"domain": node})
@@ -305,9 +296,9 @@ def _check_trust(node: Any, trust: bool | Sequence[str], key: str = "") -> None:
     if trust is True:
         return
     trusted = {*_OURS, *(trust or ())}
-    for name, value in node.items() if isinstance(node, Mapping | DictConfig) else ():
+    for name, value in node.items() if isinstance(node, Mapping) else ():
         full = f"{key}.{name}" if key else str(name)
-        if isinstance(value, Mapping | DictConfig):
+        if isinstance(value, Mapping):
             _check_trust(value, trust, full)
         elif isinstance(value, str):
             imported = value.split(".")[0] if name == "_target_" else ""

@@ -9,8 +9,9 @@ import importlib
 import importlib.abc
 import importlib.machinery
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import ModuleType
+from typing import Any
 
 RENAMED = {
     "edtorch.adaptive": "edtorch.model.fit_adaptive",
@@ -82,6 +83,26 @@ def current_target(name: str) -> str:
     """The present full name of a class, for a ``_target_``; ``name`` itself if not renamed."""
     present = current_name(name) or name
     return CLASSES.get(present, present)
+
+
+RENAMED_KEYS = {
+    "noise.exploration": "exploration.deviation",
+    "noise.exploration_start": "exploration.start",
+    "noise.exploration_decay": "exploration.decay",
+}
+"""Settings by their former names, which command lines and saved configurations may still use."""
+
+
+def current_keys(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration, nested, with its settings under their present names."""
+    result = {key: dict(v) if isinstance(v, Mapping) else v for key, v in settings.items()}
+    for old, new in RENAMED_KEYS.items():
+        (old_group, _, old_key), (group, _, key) = old.partition("."), new.partition(".")
+        before = result.get(old_group)
+        if isinstance(before, dict) and old_key in before:
+            node = result.get(group)
+            result[group] = {**(node if isinstance(node, dict) else {}), key: before.pop(old_key)}
+    return result
 
 
 def current_name(name: str) -> str | None:

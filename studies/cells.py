@@ -39,11 +39,9 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hydra import compose, initialize_config_module
-from hydra.errors import HydraException
-from omegaconf import OmegaConf
 
-from edtorch.app import schemas
+from edtorch.app.compose import compose
+from edtorch.app.errors import ConfigError
 from edtorch.app.report import defaults
 from edtorch.report.groups import telling
 from edtorch.report.runs import CONFIG, SUMMARY, Settings, Unusable, flat, load
@@ -203,12 +201,9 @@ def _settings(every: Settings) -> dict[str, Any]:
 
 
 def wanted(cell: Cell) -> dict[str, Any]:
-    """The complete settings of a cell."""
-    schemas.register()
-    with initialize_config_module("conf", version_base="1.3"):
-        config = OmegaConf.to_container(compose("train", list(cell.overrides)), resolve=True)
-    assert isinstance(config, dict)
-    return _settings(flat({str(key): value for key, value in config.items()}))
+    """The settings of a cell, complete."""
+    config = compose(cell.overrides).plain()
+    return _settings(flat(config))
 
 
 def is_done(folder: Path, settings: dict[str, Any]) -> bool:
@@ -293,7 +288,7 @@ def _unable(cells: Sequence[Cell]) -> dict[str, str]:
     for cell in cells:
         try:
             wanted(cell)
-        except HydraException as error:
+        except ConfigError as error:
             found[cell.title] = str(error).splitlines()[0]
     return found
 

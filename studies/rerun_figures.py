@@ -11,7 +11,6 @@ from torch import Tensor
 from edtorch.app.domain import build_sim
 from edtorch.app.policy import build_actor, policy_card
 from edtorch.app.rundir import POLICY, load_config
-from edtorch.app.schemas import register
 from edtorch.report.figures import Ride, episode_lengths, one_ride, save_figure
 from edtorch.report.reaching import PANELS, reaching_curve
 from edtorch.report.runs import Run
@@ -45,7 +44,6 @@ def draw(material: Material, folder: Path) -> list[str]:
 
 def _figure_2(run: Run, folder: Path) -> list[str]:
     """Length of episode against training time; the angle to the goal in one episode after it."""
-    register()
     config = load_config(run.path)
     sim = build_sim(config.domain)
     path = run.path / POLICY

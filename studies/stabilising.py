@@ -16,12 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from hydra import compose, initialize_config_module
 from torch import Tensor
 
 from benchmarks.timing import print_table, write_json
-from edtorch.app import schemas
 from edtorch.app.build import build
+from edtorch.app.compose import compose
 from edtorch.run.training import Training
 from sims.base import spec_index
 from sims.bicycle import Bicycle
@@ -51,19 +50,16 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("overrides", nargs="*", default=[], metavar="OVERRIDE")
     options = parser.parse_args()
-    schemas.register()
-    with initialize_config_module("conf", version_base="1.3"):
-        config = compose(
-            "train",
-            [
-                "experiment=bicycle",
-                *options.overrides,
-                f"seeds={options.seeds}",
-                f"seed={options.seed}",
-                f"train.seconds={options.seconds}",
-                "compute.compile=off",
-            ],
-        )
+    config = compose(
+        [
+            "experiment=bicycle",
+            *options.overrides,
+            f"seeds={options.seeds}",
+            f"seed={options.seed}",
+            f"train.seconds={options.seconds}",
+            "compute.compile=off",
+        ],
+    )
     setup = build(config)
     sim = setup.world.sim
     assert isinstance(sim, Bicycle), "expected a bicycle"

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from omegaconf import DictConfig
-
 from edtorch.app.budget import build_budget
-from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compute import (
     Compute,
     check_machine,
@@ -26,6 +24,7 @@ from edtorch.app.limit import build_schedule
 from edtorch.app.observation import check_unobserved
 from edtorch.app.policy import policy_card
 from edtorch.app.reward import build_reward
+from edtorch.app.settings import Settings
 from edtorch.learner.learner import AnyLearner, Learner
 from edtorch.learner.schedule import Schedule
 from edtorch.run.checkpoint import PolicyCard
@@ -57,9 +56,8 @@ class Setup:
     compiled: Learner | None
 
 
-def _check(config: DictConfig) -> None:
+def _check(config: Settings) -> None:
     """Refuse keys and numbers that are wrong whatever is built of them."""
-    check_keys(config)
     check_numbers(config)
     check_seeds(config)
     at_least("eval.episodes", config.eval.episodes, 0)
@@ -73,7 +71,7 @@ def _check(config: DictConfig) -> None:
     at_least("compute.compile_after", config.compute.compile_after, 0)
 
 
-def build(config: DictConfig) -> Setup:
+def build(config: Settings) -> Setup:
     """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
     _check(config)
     budget = build_budget(config.train)
@@ -107,7 +105,7 @@ def build(config: DictConfig) -> Setup:
     return setup
 
 
-def _assemble(config: DictConfig, sim: Sim, budget: Budget, compute: Compute) -> Setup:
+def _assemble(config: Settings, sim: Sim, budget: Budget, compute: Compute) -> Setup:
     if config.eval.keep and not (sim.spec.goal and config.eval.episodes):
         raise ConfigError(
             f"eval.keep={config.eval.keep}: expected 0 without a goal in the domain and"

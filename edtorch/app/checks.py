@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
-from omegaconf import DictConfig, ListConfig, OmegaConf
-
-from edtorch.app.construct import known_keys
-from edtorch.app.errors import ConfigError, unknown_key
+from edtorch.app.errors import ConfigError
+from edtorch.app.settings import Settings
 
 
 def at_least(key: str, value: float, least: float) -> None:
@@ -18,25 +17,12 @@ def at_least(key: str, value: float, least: float) -> None:
         raise ConfigError(f"{key}={value}: expected {kind} >= {least:g}")
 
 
-def check_keys(config: DictConfig) -> None:
-    """Refuse keys that were forced in with "+" beside those of a schema."""
-    kind = OmegaConf.get_type(config)
-    for key in config:
-        node = config._get_node(key)
-        if key not in getattr(kind, "__dataclass_fields__", (key,)):
-            raise ConfigError(unknown_key(f"{key}={node}", str(key), sorted(kind.__annotations__)))
-        if isinstance(node, DictConfig) and not node._is_none():
-            fields = getattr(OmegaConf.get_type(node), "__dataclass_fields__", None)
-            if fields is not None:
-                known_keys(str(key), node, set(fields))
-
-
 def check_numbers(config: Any, key: str = "") -> None:
     """Refuse NaN everywhere, and infinities where a constructor of ours would take them."""
     items: list[tuple[str, Any]] = []
-    if isinstance(config, DictConfig) and not config._is_missing() and not config._is_none():
+    if isinstance(config, Mapping):
         items = [(f"{key}.{k}" if key else str(k), config[k]) for k in config]
-    elif isinstance(config, ListConfig):
+    elif isinstance(config, list):
         items = [(f"{key}[{i}]", value) for i, value in enumerate(config)]
     for name, value in items:
         check_numbers(value, name)
@@ -46,8 +32,8 @@ def check_numbers(config: Any, key: str = "") -> None:
             raise ConfigError(f"{name}={value}: expected a finite number")
 
 
-def check_seeds(config: DictConfig) -> None:
-    """Refuse seeds that are none."""
+def check_seeds(config: Settings) -> None:
+    """Refuse numbers of seeds that are out of range."""
     at_least("seed", config.seed, 0)
     at_least("seeds", config.seeds, 1)
     if config.seed + config.seeds > 2**63:

@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
 from typing import Any
 
 from hydra.utils import get_class, get_method, instantiate
-from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from edtorch.app.errors import ConfigError, under, unknown_key
 from edtorch.app.given import Given
+from edtorch.app.settings import Settings, plain
 from edtorch.renamed import current_target
 
 _GATHERING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
-def known_keys(group: str, config: DictConfig, known: set[str]) -> None:
+def known_keys(group: str, config: Mapping[str, Any], known: set[str]) -> None:
     """Refuse keys of a group that are not ``known``."""
-    for key in config:
-        if str(key) not in known:
-            name, value = f"{group}.{key}", config._get_node(key)
+    for key, value in config.items():
+        if key not in known:
+            name = f"{group}.{key}"
             settable = sorted(k for k in known if not k.startswith("_"))
             raise ConfigError(unknown_key(f"{name}={value}", name, settable))
 
 
 def target_class(group: str, config: Any) -> Any:
     """The class that a node names; Hydra looks it up and vets it."""
-    if not isinstance(config, DictConfig) or "_target_" not in config:
+    if not isinstance(config, Mapping) or "_target_" not in config:
         raise ConfigError(f"{group}={config}: expected a mapping with a _target_")
-    name = config._target_
+    name = config["_target_"]
     try:
         return get_class(current_target(name))
     except Exception as error:
@@ -50,31 +51,29 @@ def argument(key: str, value: Any) -> Any:
     """A constructor's argument: nested targets become objects, other nodes plain containers."""
     if isinstance(value, Given):
         return value.value
-    if isinstance(value, DictConfig) and "given" in value:
-        raise ConfigError(f"{key}: was an object, {value.given}; expected it to be given again")
-    if isinstance(value, DictConfig) and value.get("_partial_"):
+    if isinstance(value, Mapping) and "given" in value:
+        raise ConfigError(f"{key}: was an object, {value['given']}; expected it to be given again")
+    if isinstance(value, Mapping) and value.get("_partial_"):
         # The function itself: Hydra's own partial would vet its target again at every call.
         known_keys(key, value, {"_target_", "_partial_"})
         try:
-            return get_method(value._target_)
+            return get_method(value["_target_"])
         except Exception as error:
             why = " ".join(str(error).split())
             raise ConfigError(
-                f"{key}._target_={value._target_}: expected the full name of a function ({why})"
+                f"{key}._target_={value['_target_']}: expected the full name of a function ({why})"
             ) from error
-    if isinstance(value, DictConfig) and "_target_" in value:
+    if isinstance(value, Mapping) and "_target_" in value:
         return construct(key, value)
-    if isinstance(value, DictConfig | ListConfig):
-        return OmegaConf.to_container(value)
-    return value
+    return plain(value)
 
 
 def is_given(config: Any) -> bool:
     """Whether a node holds an object, or the name of one that it held (``edtorch.app.given``)."""
-    return isinstance(config, DictConfig) and "given" in config
+    return isinstance(config, Mapping) and "given" in config
 
 
-def given_part(group: str, config: DictConfig) -> Any:
+def given_part(group: str, config: Settings) -> Any:
     """The object; ConfigError where only its name is left."""
     return argument(group, config.given if isinstance(config.given, Given) else config)
 
@@ -90,13 +89,13 @@ def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
     lacking = [name for name in methods if not hasattr(target, name)]
     if lacking:
         raise ConfigError(
-            f"{group}._target_={config._target_}: expected a class with {', '.join(methods)};"
+            f"{group}._target_={config['_target_']}: expected a class with {', '.join(methods)};"
             f" it lacks {', '.join(lacking)}"
         )
     try:
         accepted = inspect.signature(target).parameters
     except ValueError as error:
-        raise ConfigError(f"{group}._target_={config._target_}: {error}") from error
+        raise ConfigError(f"{group}._target_={config['_target_']}: {error}") from error
     if not any(p.kind is _GATHERING[1] for p in accepted.values()):
         known_keys(group, config, (set(accepted) - set(more)) | {"_target_", "_args_"})
     places = [
@@ -114,7 +113,7 @@ def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
         if not optional and name not in arguments and not places:
             raise ConfigError(f"{group}.{name}: no value given; set it with {group}.{name}=...")
     # Called here and not by Hydra, so that its errors reach us as they are.
-    constructor = instantiate({"_target_": current_target(config._target_), "_partial_": True})
+    constructor = instantiate({"_target_": current_target(config["_target_"]), "_partial_": True})
     with under(group):
         try:
             return constructor(*places, **arguments)
@@ -124,5 +123,5 @@ def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:
             # Whatever a constructor cannot do, it cannot do with this configuration.
             why = f"{type(error).__name__}: {error}"
             raise ConfigError(
-                f"{group}._target_={config._target_}: {why} (debug=true shows where)"
+                f"{group}._target_={config['_target_']}: {why} (debug=true shows where)"
             ) from error

@@ -8,14 +8,15 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from edtorch.app.folders import FootprintCallback
-from edtorch.app.schemas import SCALARS
+from edtorch.app.groups import Whole
+from edtorch.app.overrides import given, given_name, typed
 from edtorch.app.signals import Interrupted
 from edtorch.run.checkpoint import FileProblem
 from sims.base import SimulatorFailed
@@ -48,9 +49,9 @@ EXPECTED = (
 """What a user can cause; anything else is a defect of ours and keeps its traceback."""
 
 
+_SCALARS = {f.name for f in fields(Whole)}
 _OPTION = re.compile(r"(?!(null|true|false)$)[A-Za-z_][\w./-]*|\[.*\]")
 _SEARCHED = ("Config search path", "provider=", "See http")
-_KINDS = {"Integer": "an integer", "Float": "a number", "Boolean": "true or false"}
 
 
 @contextmanager
@@ -62,14 +63,6 @@ def under(group: str) -> Iterator[None]:
         text = " ".join(str(error).split())
         names_argument = re.match(r"[\w.]+(\[[^]]*\])?=", text) is not None
         raise ConfigError(f"{group}.{text}" if names_argument else f"{group}: {text}") from error
-
-
-def _given(key: str) -> str:
-    """The override as the user typed it, else the key alone."""
-    for argument in reversed(sys.argv[1:]):
-        if argument.lstrip("+~").split("=", 1)[0] == key:
-            return argument
-    return key
 
 
 def unknown_key(given: str, key: str, known: list[str]) -> str:
@@ -84,25 +77,11 @@ def unknown_key(given: str, key: str, known: list[str]) -> str:
 def _from_omegaconf(error: OmegaConfBaseException) -> str:
     key = error.full_key or str(error.key)
     first = str(error).splitlines()[0]
-    if "is not in struct" in first or "not in '" in first:
-        parent = error.parent_node
-        known = [str(k) for k in parent] if isinstance(parent, DictConfig) else []
-        line = unknown_key(_given(key), key, sorted(set(known) - {"_target_", "hydra"}))
-        by_name = error.object_type is dict and "." in key
-        return f"{line}; to add it by name: +{key}=..." if by_name else line
-    if "is not a valid bool" in first:
-        return f"{_given(key)}: expected true or false"
-    if re.match(r"Cannot assign .* to Dict", first):
-        return f"{_given(key)}: expected a mapping {{NAME: VALUE}}"
-    if first.endswith("is not Optional"):
-        return f"{_given(key)}: expected a value, not null"
+    if "is not in struct" in first:
+        return f"{given(key) or key}: unknown key"
     if first.startswith("Missing mandatory value"):
         return f"{key}: no value given; set it with {key}=..."
-    converted = re.match(r"Value '(.*)' of type '.*' could not be converted to (\w+)", first)
-    if converted:
-        kind = _KINDS.get(converted[2], converted[2].lower())
-        return f"{key}={converted[1]}: expected {kind}"
-    return f"{_given(key)}: {first}"
+    return f"{given(key) or key}: {first}"
 
 
 def one_line(error: BaseException) -> str:
@@ -115,10 +94,13 @@ def one_line(error: BaseException) -> str:
             if isinstance(link, OmegaConfBaseException):
                 return _from_omegaconf(link)
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    if isinstance(error, ConfigError):
+        # By the name that the user typed, where the setting had another one before.
+        key, equals, rest = lines[0].partition("=")
+        lines[0] = f"{given_name(key)}{equals}{rest}"
     if isinstance(error, MissingConfigException) and error.options is not None:
         group, _, option = (error.missing_cfg_file or "").rpartition("/")
-        known = ", ".join(name for name in error.options if not name.endswith("_schema"))
-        return f"{group}={option}: expected one of {known}"
+        return f"{group}={option}: expected one of {', '.join(error.options)}"
     if isinstance(error, OverrideParseException):
         return f"{error.override}: expected KEY=VALUE ({'; '.join(lines[1:2])})"
     if isinstance(error, HydraException):
@@ -129,12 +111,12 @@ def one_line(error: BaseException) -> str:
 
 
 @contextmanager
-def refusing(debug: bool) -> Iterator[None]:
+def refusing() -> Iterator[None]:
     """Inside a job: what a user can cause leaves it as ``Refused``, or as it is when debugging."""
     try:
         yield
     except EXPECTED as error:
-        if debug:
+        if _debugging():
             raise
         raise Refused(one_line(error)) from error
 
@@ -155,15 +137,14 @@ def _errors_unchanged() -> Iterator[None]:
 
 
 def _debugging() -> bool:
-    words = "true|yes|on|y|1"
-    return any(re.fullmatch(rf"debug=({words})", a.lower()) for a in sys.argv[1:])
+    return any(re.fullmatch(r"\+*debug=(true|yes|on|y|1)", a.lower()) for a in typed())
 
 
 def _odd_choice(error: ValueError) -> str:
     """Hydra's complaint about ``step=3``, which names neither key nor value."""
-    for argument in sys.argv[1:]:
+    for argument in typed():
         key, equals, value = argument.partition("=")
-        if equals and "." not in key and key not in SCALARS and not _OPTION.fullmatch(value):
+        if equals and "." not in key and key not in _SCALARS and not _OPTION.fullmatch(value):
             return f"{argument}: expected KEY=VALUE with the name of an option of a group"
     return one_line(error)
 

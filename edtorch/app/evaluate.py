@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import sys
 import time
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import hydra
 import torch
-from omegaconf import DictConfig, OmegaConf
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from edtorch.app import schemas
-from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.checks import at_least, check_numbers, check_seeds
+from edtorch.app.compose import CONF, launch, plainly
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
+from edtorch.app.groups import Evaluate
 from edtorch.app.policies import frozen_world, stored_policies
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
+from edtorch.app.schema import checked_fields
+from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.report.statistics import evaluation_figures, goal_figures
 from edtorch.run.checkpoint import write_text
@@ -72,7 +72,7 @@ def _cell(value: float | None) -> str:
     return "-" if value is None else f"{value:.4f}"
 
 
-def _baselines(config: DictConfig, world: World, seeds: list[int]) -> dict[str, Any]:
+def _baselines(config: Settings, world: World, seeds: list[int]) -> dict[str, Any]:
     """The figures of the sim's own controllers, by name, in the episodes of the first seed."""
     if not (config.baselines or config.yardsticks):
         return {}
@@ -88,13 +88,12 @@ def _baselines(config: DictConfig, world: World, seeds: list[int]) -> dict[str, 
     }
 
 
-def _task(config: DictConfig) -> float:
-    with Stop().listening(), refusing(config.debug):
-        return _evaluate(config)
+def _task(composed: Any) -> float:
+    with Stop().listening(), refusing():
+        return _evaluate(checked_fields(Evaluate, plainly(composed)))
 
 
-def _evaluate(config: DictConfig) -> float:
-    check_keys(config)
+def _evaluate(config: Settings) -> float:
     check_numbers(config)
     at_least("episodes", config.episodes, 1)
     at_least("threads", config.threads, 1)
@@ -128,7 +127,7 @@ def _evaluate(config: DictConfig) -> float:
         "run": str(folder),
         "policy": str(path),
         "episodes": config.episodes,
-        "domain": OmegaConf.to_container(config.domain),
+        "domain": config.domain.plain(),
         "seeds": seeds,
         **evaluation_figures(episodes),
         **reached,
@@ -153,10 +152,7 @@ def _evaluate(config: DictConfig) -> float:
 
 def main() -> None:
     """Entry point of ``edtorch-eval``."""
-    schemas.register_evaluation()
-    folder = str(files("conf") / "evaluate")
-    run = hydra.main(version_base="1.3", config_path=folder, config_name="evaluate")(_task)
-    sys.exit(guarded("edtorch-eval", run))
+    sys.exit(guarded("edtorch-eval", lambda: launch(_task, CONF / "evaluate", "evaluate")))
 
 
 if __name__ == "__main__":

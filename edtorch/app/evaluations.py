@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from omegaconf import DictConfig
-
 from edtorch.app.best import Kept, better
 from edtorch.app.build import Setup
+from edtorch.app.settings import Settings
 from edtorch.app.trials import Paid, Trials
 from edtorch.report.milestones import MILESTONES, checkpoints, milestones
 from edtorch.report.quantities import MINUTES
@@ -54,7 +53,7 @@ class Evaluations:
     many further episodes; trials: None without ``eval.minutes``.
     """
 
-    def __init__(self, setup: Setup, config: DictConfig) -> None:
+    def __init__(self, setup: Setup, config: Settings) -> None:
         self._setup = setup
         self._episodes: int = config.eval.episodes
         self._judged: int = config.eval.keep

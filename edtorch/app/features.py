@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-from omegaconf import DictConfig, OmegaConf
 
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError
+from edtorch.app.settings import Settings
 from edtorch.model.features import Affine, FeatureMap, Identity, Pairwise, Trigonometric
 from sims.base import Spec
 
@@ -23,7 +23,7 @@ FEATURES: Mapping[str, Callable[[int], FeatureMap]] = {
 
 def build_features(key: str, config: Any, inputs: int, spec: Spec, seed: int) -> FeatureMap:
     """A feature map from its name, or from a ``_target_`` with its arguments."""
-    if not isinstance(config, DictConfig):
+    if not isinstance(config, Settings):
         if config not in FEATURES:
             raise ConfigError(
                 f"{key}={config}: expected one of {', '.join(FEATURES)},"
@@ -45,21 +45,21 @@ def build_features(key: str, config: Any, inputs: int, spec: Spec, seed: int) ->
     return features
 
 
-def without_features(group: str, config: DictConfig) -> DictConfig:
+def without_features(group: str, config: Settings) -> Settings:
     """The node of a part that has no feature map; one that is asked for is refused."""
     if config.get("features", "identity") != "identity":
         raise ConfigError(
             f"{group}.features={config.features}: {config._target_} has no argument features"
         )
-    return OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])
+    return config.without("features")
 
 
 def features_of(
     group: str, config: Any, inputs: int, spec: Spec, seed: int
-) -> tuple[FeatureMap, DictConfig]:
+) -> tuple[FeatureMap, Settings]:
     """The feature map of a model or policy, and the rest of its node."""
-    if not isinstance(config, DictConfig):
+    if not isinstance(config, Settings):
         raise ConfigError(f"{group}={config}: expected a mapping with a _target_")
     chosen = config.get("features", "identity")
     features = build_features(f"{group}.features", chosen, inputs, spec, seed)
-    return features, OmegaConf.masked_copy(config, [str(k) for k in config if k != "features"])
+    return features, config.without("features")

@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields, replace
 from typing import TypeVar, cast, get_args
 
 import torch
-from omegaconf import DictConfig
 
 from edtorch.app.checks import at_least
 from edtorch.app.compute import Compute, check_memory
@@ -17,6 +16,7 @@ from edtorch.app.model import build_fit, build_model, build_noise
 from edtorch.app.observation import build_observer
 from edtorch.app.policy import build_policy
 from edtorch.app.reward import build_reward, held, is_named
+from edtorch.app.settings import Settings
 from edtorch.inverse.forward import tracking
 from edtorch.learner.estimator import AnyFit
 from edtorch.learner.learner import Learner
@@ -54,7 +54,7 @@ def _moved(part: _Part, device: torch.device) -> _Part:
 
 
 def _about_equilibrium(
-    config: DictConfig,
+    config: Settings,
     world: World,
     model: Model,
     policy: Policy,
@@ -105,7 +105,7 @@ def _about_equilibrium(
         )
 
 
-def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward:
+def build_forward(config: Settings, world: World, compute: Compute) -> Forward:
     """The learner of a whole configuration, for a world.  Raises ConfigError."""
     sim, dtype, device = world.sim, compute.dtype, compute.device
     model = _moved(build_model(config.model, world, dtype, config.seed), device)
@@ -187,7 +187,7 @@ def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward
         path = FromOrigin(path, target)
         compilable = None if compilable is None else FromOrigin(compilable, target)
     check_start(config.command, world)
-    with under("noise"):
+    with under("exploration"):
         learner = Learner(
             model=model,
             policy=policy,
@@ -195,7 +195,7 @@ def build_forward(config: DictConfig, world: World, compute: Compute) -> Forward
             noise=noise,
             value=path,
             step_rule=construct("step", config.step, "initial"),
-            exploration=build_exploration(config.noise, world.dt, model.regressors),
+            exploration=build_exploration(config.exploration, world.dt, model.regressors),
             command=build_command(config.command, world, model, policy, noise),
             observer=observer,
         )

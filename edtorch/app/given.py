@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from edtorch.app.settings import Settings
 
 
 class Given:
@@ -28,16 +28,9 @@ def name_of(value: Any) -> str:
     return f"{named.__module__}.{named.__qualname__}"
 
 
-def with_objects(config: DictConfig, changes: Mapping[str, Any]) -> DictConfig:
+def with_objects(config: Mapping[str, Any], changes: Mapping[str, Any]) -> Settings:
     """``config`` with other nodes at its top, which may hold objects."""
-    content = OmegaConf.to_container(config, resolve=True)
-    assert isinstance(content, dict)
-    content.update({key: _plain(node) for key, node in changes.items()})
-    return cast(DictConfig, OmegaConf.create(content, flags={"allow_objects": True}))
-
-
-def _plain(node: Any) -> Any:
-    return dict(node) if isinstance(node, Mapping) else node
+    return Settings({**config, **changes})
 
 
 def described(node: Any) -> Any:
@@ -48,7 +41,7 @@ def described(node: Any) -> Any:
         if _importable(node.value):
             return {"_target_": name, "_partial_": True}
         return {"given": name}
-    if isinstance(node, Mapping | DictConfig):
+    if isinstance(node, Mapping):
         return {str(key): described(value) for key, value in node.items()}
     if isinstance(node, list | tuple):
         return [described(value) for value in node]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any, get_args
 
 import torch
-from omegaconf import DictConfig, OmegaConf
 
 from edtorch.app.checks import at_least
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.limit import variant
 from edtorch.app.reward import QUADRATIC
+from edtorch.app.settings import Settings
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import Coordinates, JointCoordinates
 from edtorch.inverse.features import FEATURES, InverseFeatures
@@ -26,22 +26,14 @@ from edtorch.value.choose import Method
 from edtorch.value.unroll import Horizon
 from sims.base import Jointed, Sim
 
-VARIANTS = ("none", "learned", "kinematic")
-
 
 def has_inverse(config: Any) -> bool:
     """Whether a configuration asks for an inverse model."""
-    if config.inverse is None:
-        return False
-    if config.inverse.variant not in VARIANTS:
-        raise ConfigError(
-            f"inverse.variant={config.inverse.variant}: expected one of {', '.join(VARIANTS)}"
-        )
     return config.inverse.variant != "none"
 
 
 def _features(config: Any, layout: Layout) -> InverseFeatures:
-    if isinstance(config, DictConfig):
+    if isinstance(config, Settings):
         return construct("inverse.features", config, "__call__", layout=layout)
     if config not in FEATURES:
         raise ConfigError(
@@ -77,7 +69,7 @@ def build_controller(config: Any, sim: Sim) -> InverseController:
     return InverseController(policy, features, _coordinates(config, layout, sim))
 
 
-def _value(config: DictConfig, policy: InversePolicy, horizon: Horizon) -> InverseValue:
+def _value(config: Settings, policy: InversePolicy, horizon: Horizon) -> InverseValue:
     """The way to value and gradient: written out where it is, else torch's differentiation."""
     method, deviation = config.unroll.path, config.unroll.start_deviation
     if method not in get_args(Method):
@@ -115,10 +107,8 @@ def _value(config: DictConfig, policy: InversePolicy, horizon: Horizon) -> Inver
         return GenericInverse(policy, horizon, transform, config.reward.goal, deviation)
 
 
-def _noise(config: DictConfig) -> Noise:
-    own = [str(k) for k in config if not str(k).startswith("exploration")]
-    rest = OmegaConf.masked_copy(config, own)
-    noise = construct("noise", rest, "covariance", "update", stretch=1.0)
+def _noise(config: Settings) -> Noise:
+    noise = construct("noise", config, "covariance", "update", stretch=1.0)
     if not noise.is_constant:
         raise ConfigError(
             f"noise._target_={config._target_}: expected noise=residual with an inverse policy"
@@ -126,7 +116,7 @@ def _noise(config: DictConfig) -> Noise:
     return noise
 
 
-def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> InverseLearner:
+def build_inverse_learner(config: Settings, sim: Sim, dtype: torch.dtype) -> InverseLearner:
     """The learner, from a whole configuration."""
     controller = build_controller(config.inverse, sim)
     if dtype != torch.float64:
@@ -151,11 +141,10 @@ def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> I
             f"command={config.command.variant}: expected free with an inverse policy, whose error"
             " has a limit of its own (inverse.limit)"
         )
-    at_least("noise.exploration", config.noise.exploration, 0)
-    if config.noise.exploration_start is not None:
+    at_least("exploration.deviation", config.exploration.deviation, 0)
+    if config.exploration.start is not None:
         raise ConfigError(
-            f"noise.exploration_start={config.noise.exploration_start}: expected null with an"
-            " inverse policy"
+            f"exploration.start={config.exploration.start}: expected null with an inverse policy"
         )
     fit = construct("fit", config.fit, "initial", "update")
     rule = construct("step", config.step, "initial")
@@ -168,7 +157,7 @@ def build_inverse_learner(config: DictConfig, sim: Sim, dtype: torch.dtype) -> I
             step_rule=rule,
             every=config.inverse.every,
             recent=config.inverse.recent,
-            exploration=config.noise.exploration,
+            exploration=config.exploration.deviation,
             trust=trust,
             noise=noise,
         )

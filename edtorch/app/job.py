@@ -12,12 +12,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from omegaconf import DictConfig
 from rich.console import Console
 
 from edtorch.app.build import Setup
 from edtorch.app.errors import ConfigError
 from edtorch.app.evaluations import Evaluations, News
+from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.app.summary import Timing, broken, summarise
 from edtorch.compiled.compilation import CannotCompile
@@ -46,7 +46,7 @@ class Job:
     ticks; console: gets the lines on the way; recorder: None unless ``log.transitions``.
     """
 
-    def __init__(self, setup: Setup, config: DictConfig, stop: Stop, console: Console) -> None:
+    def __init__(self, setup: Setup, config: Settings, stop: Stop, console: Console) -> None:
         self.setup = setup
         self.config = config
         self.stop = stop

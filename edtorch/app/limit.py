@@ -18,17 +18,9 @@ from edtorch.policy.policies import Policy
 from edtorch.run.scaled_sim import World
 from sims.base import Spec
 
-VARIANTS = ("free", "ramp", "safe")
-
 
 def variant(config: Any) -> str:
-    """Of the group ``command``; ConfigError if it is none."""
-    if config is None:
-        return "free"
-    if config.variant not in VARIANTS:
-        raise ConfigError(
-            f"command.variant={config.variant}: expected one of {', '.join(VARIANTS)}"
-        )
+    """Of the group ``command``."""
     return config.variant
 
 
@@ -123,14 +115,14 @@ def build_schedule(config: Any, dt: float, unknowns: int) -> Schedule:
 
 
 def build_exploration(config: Any, dt: float, unknowns: int) -> float | Annealed:
-    """The deviation of the exploration, from the group ``noise``."""
-    if config.exploration_start is None:
-        return config.exploration
-    at_least("noise.exploration_start", config.exploration_start, 0)
-    if config.exploration_decay is None:
-        return Annealed(config.exploration_start, config.exploration, 2.0 * unknowns)
-    if not config.exploration_decay > 0:
-        raise ConfigError(
-            f"noise.exploration_decay={config.exploration_decay}: expected a number > 0 (s)"
-        )
-    return Annealed(config.exploration_start, config.exploration, config.exploration_decay / dt)
+    """The standard deviation of the exploration, from the group ``exploration``; unknowns: in each
+    equation of the model."""
+    at_least("exploration.deviation", config.deviation, 0)
+    if config.start is None:
+        return config.deviation
+    at_least("exploration.start", config.start, 0)
+    if config.decay is None:
+        return Annealed(config.start, config.deviation, 2.0 * unknowns)
+    if not config.decay > 0:
+        raise ConfigError(f"exploration.decay={config.decay}: expected a number > 0 (s)")
+    return Annealed(config.start, config.deviation, config.decay / dt)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from omegaconf import DictConfig, OmegaConf
 
 from edtorch.app.construct import accepts, construct, target_class
 from edtorch.app.errors import ConfigError
 from edtorch.app.features import features_of, without_features
 from edtorch.app.observation import build_deviations
 from edtorch.app.reward import held
+from edtorch.app.settings import Settings
 from edtorch.learner.estimator import AnyFit
 from edtorch.model.models import Model
 from edtorch.model.module import as_model
@@ -50,7 +50,7 @@ FITS = (("initial", "update"), ("initial_memory", "improve"))
 """What a rule for weights offers, and one for any parameters."""
 
 
-def build_fit(config: DictConfig, world: World, model: Model) -> AnyFit:
+def build_fit(config: Settings, world: World, model: Model) -> AnyFit:
     """The estimator of the model's parameters, from the group ``fit``."""
     deviations = build_deviations(config.observation, world)
     offered = target_class("fit", config.fit)
@@ -72,9 +72,7 @@ def build_fit(config: DictConfig, world: World, model: Model) -> AnyFit:
 
 def build_noise(config: Any, fit: AnyFit, model: Model, stretch: float) -> Noise:
     """The rule for nu~; stretch: ticks of the simulator in a step of the unroll."""
-    own = [str(k) for k in config if not str(k).startswith("exploration")]
-    rest = OmegaConf.masked_copy(config, own)
-    noise = construct("noise", rest, "covariance", "update", stretch=stretch)
+    noise = construct("noise", config, "covariance", "update", stretch=stretch)
     needs = getattr(noise, "needs", ())
     kept = getattr(fit, "initial", None)
     known = kept(model.initial([0])["weight"]) if needs and kept is not None else {}

@@ -8,14 +8,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, get_args
 
 import torch
-from omegaconf import DictConfig, ListConfig, OmegaConf
 from rich.console import Console
 
 from edtorch.app.build import Setup, build
 from edtorch.app.checks import at_least
+from edtorch.app.compose import as_yaml
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.evaluations import Evaluation
 from edtorch.app.inverse import has_inverse
@@ -29,6 +29,7 @@ from edtorch.app.rundir import (
     json_text,
     versions,
 )
+from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.app.summary import Timing, broken, flat_settings, medians, summary_table
 from edtorch.errors import CovarianceFloored
@@ -45,7 +46,6 @@ from sims.base import Outcome
 
 logger = logging.getLogger("edtorch")
 
-VARIANTS = ("none", "recorded")
 _PIECE = 64
 """Transitions, or improvements, between two looks at whether to stop."""
 
@@ -62,16 +62,10 @@ class OfflineSetup:
 
 def is_offline(config: Any) -> bool:
     """Whether learners learn from recorded transitions.  Raises ConfigError."""
-    if config.offline is None:
-        return False
-    if config.offline.variant not in VARIANTS:
-        raise ConfigError(
-            f"offline.variant={config.offline.variant}: expected one of {', '.join(VARIANTS)}"
-        )
     return config.offline.variant == "recorded"
 
 
-def _refuse_beside(config: DictConfig) -> None:
+def _refuse_beside(config: Settings) -> None:
     """What makes no sense beside recorded transitions."""
     if is_rival(config):
         raise ConfigError("offline=recorded: expected rival=none; rivals do not learn from files")
@@ -88,7 +82,7 @@ def _refuse_beside(config: DictConfig) -> None:
 
 
 def _paths(data: Any) -> list[Path]:
-    given = list(data) if isinstance(data, ListConfig) else [data]
+    given = data if isinstance(data, list) else [data]
     if not given or not all(isinstance(each, str) and each for each in given):
         raise ConfigError(
             f"offline.data={data}: expected a file {TRANSITIONS}, the folder of a run with one,"
@@ -132,10 +126,10 @@ def _close(dt: Any, wanted: float) -> Any:
     return abs(dt - wanted) <= 1e-6 * wanted
 
 
-def build_offline(config: DictConfig) -> OfflineSetup:
+def build_offline(config: Settings) -> OfflineSetup:
     """Objects for learning from files.  Raises ConfigError, and FileProblem for the files."""
     _refuse_beside(config)
-    plain = cast(DictConfig, OmegaConf.merge(config, {"compute": {"compile": "off"}}))
+    plain = config.merged({"compute": {"compile": "off"}})
     setup = build(plain)
     own = config.offline
     at_least("offline.steps", own.steps, 0)
@@ -291,7 +285,7 @@ def _summary(job: OfflineSetup, evaluation: Evaluation, timing: Timing) -> dict[
 
 
 def run_offline(
-    job: OfflineSetup, config: DictConfig, folder: Path, stop: Stop, console: Console, began: float
+    job: OfflineSetup, config: Settings, folder: Path, stop: Stop, console: Console, began: float
 ) -> dict[str, Any]:
     """Learn, evaluate, write everything; returns the content of ``summary.json``."""
     setup, offline = job.setup, job.offline
@@ -303,7 +297,7 @@ def run_offline(
     sinks: list[Sink] = [CsvSink(folder)]
     board = None
     if config.log.tensorboard:
-        board = TensorBoardSink(folder, OmegaConf.to_yaml(config, resolve=True))
+        board = TensorBoardSink(folder, as_yaml(config))
         sinks.append(board)
     if config.log.progress:
         sinks.append(ConsoleSink(console))

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import DictConfig
 
 from edtorch.app.domain import build_sim, changed_domain
 from edtorch.app.errors import ConfigError, under
@@ -16,6 +15,7 @@ from edtorch.app.policy import build_actor, build_frozen_observer, policy_card
 from edtorch.app.random_search import is_rival, is_search
 from edtorch.app.reward import build_reward
 from edtorch.app.rivals import build_rival, rival_card, rival_dtype
+from edtorch.app.settings import Settings
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
 from edtorch.rivals.base import Storing
@@ -35,7 +35,7 @@ class Policies:
     observer: Observer | None = None
 
 
-def acting_dtype(config: DictConfig, path: Path) -> torch.dtype:
+def acting_dtype(config: Settings, path: Path) -> torch.dtype:
     """The number type of the world in which the policies of the file ``path`` act."""
     if is_rival(config) and not is_search(config):
         # Networks have a type of their own.
@@ -43,7 +43,7 @@ def acting_dtype(config: DictConfig, path: Path) -> torch.dtype:
     return policy_dtype(path)
 
 
-def frozen_world(config: DictConfig, path: Path, changes: Mapping[str, Any] | None = None) -> World:
+def frozen_world(config: Settings, path: Path, changes: Mapping[str, Any] | None = None) -> World:
     """A world for the policies in the file ``path`` of a run with this configuration; changes: of
     its domain.  Raises ConfigError, and FileProblem for the file."""
     sim = build_sim(changed_domain(config.domain, changes or {}, "domain"))
@@ -59,7 +59,7 @@ def frozen_world(config: DictConfig, path: Path, changes: Mapping[str, Any] | No
     )
 
 
-def stored_policies(config: DictConfig, path: Path, world: World) -> Policies:
+def stored_policies(config: Settings, path: Path, world: World) -> Policies:
     """Those in the file ``path`` of a run with this configuration, for a world of its domain.
 
     Raises ConfigError, and FileProblem for the file.
@@ -77,7 +77,7 @@ def stored_policies(config: DictConfig, path: Path, world: World) -> Policies:
     return Policies(actor, load_policy(path, card, shapes), seeds, observer)
 
 
-def _of_rival(config: DictConfig, path: Path, world: World) -> Policies:
+def _of_rival(config: Settings, path: Path, world: World) -> Policies:
     """A search that has only begun has policies of the right shapes, and who acts by them."""
     setup = build_rival(config)
     with under("rival"):

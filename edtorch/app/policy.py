@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, cast
 
 import torch
-from omegaconf import DictConfig
 
 from edtorch.app.construct import accepts, construct, given_part, is_given, target_class
 from edtorch.app.errors import ConfigError
@@ -14,6 +13,7 @@ from edtorch.app.inverse import build_controller, has_inverse
 from edtorch.app.limit import variant
 from edtorch.app.model import build_fit, build_model
 from edtorch.app.observation import build_observer
+from edtorch.app.settings import Settings
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
 from edtorch.policy.module import as_policy
@@ -55,7 +55,7 @@ def build_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) -> Policy
         raise ConfigError(f"{_called(config)}: {why}") from error
 
 
-def _called(config: DictConfig) -> str:
+def _called(config: Settings) -> str:
     return "policy" if is_given(config) else f"policy._target_={config._target_}"
 
 
@@ -70,7 +70,7 @@ def build_linear_policy(config: Any, sim: Sim, dtype: torch.dtype, seed: int) ->
     return cast(LinearPolicy, policy)
 
 
-def build_frozen_observer(config: DictConfig, world: World) -> Observer | None:
+def build_frozen_observer(config: Settings, world: World) -> Observer | None:
     """What a frozen policy of this configuration estimates the state with."""
     if has_inverse(config):
         return None

@@ -11,21 +11,20 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 from torch import Tensor
-from torch.utils.tensorboard.writer import SummaryWriter
 
-from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct, target_class
 from edtorch.app.domain import build_sim
 from edtorch.app.errors import ConfigError
 from edtorch.app.policy import build_linear_policy, policy_card
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
+from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.compiled.compilation import CompileMode
 from edtorch.policy.policies import LinearPolicy
@@ -39,6 +38,7 @@ from edtorch.rivals.random_search import (
     search,
 )
 from edtorch.run.checkpoint import save_policy, write_text
+from edtorch.run.log import summary_writer
 from edtorch.run.scaled_sim import World
 
 POLICIES = "policies.csv"
@@ -56,35 +56,29 @@ class SearchSetup:
     mode: CompileMode
 
 
-def is_rival(config: DictConfig) -> bool:
+def is_rival(config: Settings) -> bool:
     """Whether something else than the learner is asked for."""
-    if config.rival is None:
-        return False
-    if not isinstance(config.rival, DictConfig):
-        raise ConfigError(f"rival={config.rival}: expected a mapping with a _target_")
     return config.rival.get("_target_") is not None
 
 
-def is_search(config: DictConfig) -> bool:
+def is_search(config: Settings) -> bool:
     """Whether the rival is a random search, which counts policies."""
     return issubclass(target_class("rival", config.rival), RandomSearch)
 
 
-def build_search(config: DictConfig) -> SearchSetup:
+def build_search(config: Settings) -> SearchSetup:
     """Objects for a random search.  Raises ConfigError, which names the key."""
-    check_keys(config)
     check_numbers(config)
     check_seeds(config)
     at_least("compute.threads", config.compute.threads, 1)
     if config.seeds != 1:
         raise ConfigError(f"seeds={config.seeds}: expected 1 with a rival; vary seed in a sweep")
     check_choices(config.compute)
-    processes = config.rival.get("processes")
+    settings = construct("rival", config.rival)
+    processes = settings.processes
     if processes is None:
         processes = len(os.sched_getaffinity(0))
     at_least("rival.processes", processes, 1)
-    keys = [str(key) for key in config.rival if key != "processes"]
-    settings = construct("rival", OmegaConf.masked_copy(config.rival, keys))
     dtype = torch.float32 if config.compute.precision == "mixed" else torch.float64
     sim = build_sim(config.domain)
     policy = build_linear_policy(config.policy, sim, dtype, config.seed)
@@ -99,7 +93,7 @@ class _Report:
     COLUMNS = ("wall_s", "decided", "goal", "stable", "steps")
 
     def __init__(
-        self, setup: SearchSetup, config: DictConfig, folder: Path, stop: Stop, console: Console
+        self, setup: SearchSetup, config: Settings, folder: Path, stop: Stop, console: Console
     ) -> None:
         self._total = setup.settings.policies
         self._stop = stop
@@ -108,7 +102,7 @@ class _Report:
         self._file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
         self._rows = csv.writer(self._file)
         self._rows.writerow(self.COLUMNS)
-        self._board = SummaryWriter(str(folder)) if config.log.tensorboard else None
+        self._board = summary_writer(folder) if config.log.tensorboard else None
         self._live: Live | None = None
         self._shown = config.log.progress
         if self._shown and console.is_terminal:
@@ -235,7 +229,7 @@ def _write_policies(setup: SearchSetup, result: SearchResult, folder: Path) -> N
 
 
 def run_search(
-    setup: SearchSetup, config: DictConfig, folder: Path, stop: Stop, console: Console
+    setup: SearchSetup, config: Settings, folder: Path, stop: Stop, console: Console
 ) -> dict[str, Any]:
     """Search, write everything; returns the content of ``summary.json``."""
     title = f"{setup.world.spec.name}, {setup.settings.policies} random policies"

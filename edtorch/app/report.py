@@ -10,10 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from omegaconf import MISSING, OmegaConf
-
 from edtorch.app.rundir import command_line, git_commit, json_text, versions
-from edtorch.app.schemas import BEFORE, SCHEMAS, TrainConfig
+from edtorch.app.schema import defaults
 from edtorch.report import samples
 from edtorch.report.charts import WIDE
 from edtorch.report.comparison import Comparison, as_json, compare_all
@@ -22,7 +20,7 @@ from edtorch.report.figures import save_figure
 from edtorch.report.groups import BaselineUnknown, sections
 from edtorch.report.html import html
 from edtorch.report.markdown import markdown
-from edtorch.report.runs import LeftOut, Settings, flat, load_all
+from edtorch.report.runs import LeftOut, load_all
 from edtorch.report.tables import as_text
 from edtorch.run.checkpoint import write_text
 
@@ -32,33 +30,6 @@ KINDS = (".png", ".svg")
 
 class Refusal(Exception):
     """The one line for the user."""
-
-
-def defaults(settings: Settings) -> dict[str, Any]:
-    """Settings that a configuration of an earlier version does not name, as they are today."""
-    found = _leaves(TrainConfig)
-    for group, schemas in SCHEMAS.items():
-        target = f"{group}._target_"
-        for schema in schemas.values():
-            own = {f"{group}.{key}": value for key, value in _leaves(schema).items()}
-            if target in own and own[target] == settings.get(target):
-                found |= own
-    # A group that is null by default may be a whole group in this configuration.
-    groups = {key.partition(".")[0] for key in settings if "." in key}
-    known = {key: value for key, value in found.items() if key not in groups}
-    for group, schema in BEFORE.items():
-        if group not in groups:
-            known.pop(group, None)
-            known |= {f"{group}.{key}": value for key, value in _leaves(schema).items()}
-    return known
-
-
-def _leaves(schema: type) -> dict[str, Any]:
-    """By full key, those that have a value."""
-    content = OmegaConf.to_container(OmegaConf.structured(schema))
-    assert isinstance(content, dict)
-    named = {str(key): value for key, value in content.items()}
-    return {key: value for key, value in flat(named).items() if value != MISSING}
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -11,12 +11,12 @@ from typing import Any, cast
 
 import torch
 from hydra.utils import get_object
-from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor, nn
 
 from edtorch.app.checks import at_least
 from edtorch.app.construct import construct, given_part, is_given, known_keys
 from edtorch.app.errors import ConfigError, under
+from edtorch.app.settings import Settings
 from edtorch.inverse.forward import distance_cost
 from edtorch.rewards import PhysicalReward, QuadraticReward, Reward, quadratic_form_of
 from sims.base import Quantity, Sim, Spec
@@ -106,7 +106,7 @@ def physical_reward(
 
 
 def _callable(
-    config: DictConfig, spec: Spec, dtype: torch.dtype, device: torch.device | None
+    config: Settings, spec: Spec, dtype: torch.dtype, device: torch.device | None
 ) -> Callable[..., Tensor]:
     """An object of a class with its options, or a function with them bound."""
     name = config._target_
@@ -133,20 +133,20 @@ def _callable(
         raise ConfigError(f"reward._target_={name}: expected a class or a function")
     accepted = set(list(inspect.signature(target).parameters)[2:])
     known_keys("reward", config, (accepted - set(more)) | {"_target_"})
-    options = cast(dict[str, Any], OmegaConf.to_container(config))
+    options = config.plain()
     options |= {key: value for key, value in more.items() if key in accepted}
     bound = {key: value for key, value in options.items() if key != "_target_"}
     return cast(Callable[..., Tensor], partial(target, **bound))
 
 
-def _named(config: DictConfig, key: str) -> dict[str, Any]:
+def _named(config: Settings, key: str) -> dict[str, Any]:
     """A part of the configuration that older ones lack."""
     part = config.get(key)
     if part is None:
         return {}
-    if not isinstance(part, DictConfig):
+    if not isinstance(part, Settings):
         raise ConfigError(f"reward.{key}={part}: expected a mapping {{NAME: VALUE}}")
-    return cast(dict[str, Any], OmegaConf.to_container(part))
+    return part.plain()
 
 
 def _number(key: str, value: Any) -> float:
@@ -179,15 +179,15 @@ def _distance(weight: float, spec: Spec) -> Tensor:
     return weight * distance_cost(spec)
 
 
-def _cross(config: DictConfig, spec: Spec) -> list[tuple[str, str, float]]:
+def _cross(config: Settings, spec: Spec) -> list[tuple[str, str, float]]:
     """``reward.cross``: triples of two components and a weight."""
     given = config.get("cross")
     if given is None:
         return []
-    if not isinstance(given, ListConfig):
+    if not isinstance(given, list):
         raise ConfigError(f"reward.cross={given}: expected a list [[NAME, NAME, WEIGHT], ...]")
     found = []
-    for place, triple in enumerate(cast(list[Any], OmegaConf.to_container(given))):
+    for place, triple in enumerate(given):
         key = f"reward.cross[{place}]"
         if not isinstance(triple, list) or len(triple) != 3:
             raise ConfigError(f"{key}={triple}: expected [NAME, NAME, WEIGHT]")
@@ -216,7 +216,7 @@ def _check_target(name: str, value: Any, quantity: Quantity) -> float:
 
 
 def _targets(
-    config: DictConfig, spec: Spec, weighed: set[str]
+    config: Settings, spec: Spec, weighed: set[str]
 ) -> tuple[dict[str, float], dict[str, str]]:
     """``reward.target``: numbers, physical units, and names of other components of the state."""
     quantities = {q.name: q for q in (*spec.state, *spec.action)}
@@ -254,7 +254,7 @@ def _by_scale(of_state: dict[str, Any], target: dict[str, Any], spec: Spec) -> d
     return {name: 1 / scales[name] ** 2 for name in wanted or ()} | of_state
 
 
-def held(config: DictConfig, spec: Spec) -> dict[int, float]:
+def held(config: Settings, spec: Spec) -> dict[int, float]:
     """Wanted values by index of the component, scaled units: the targets, or zero for every
     component with a weight where no target is given.  Raises ConfigError."""
     index = {q.name: i for i, q in enumerate(spec.state)}
@@ -272,7 +272,7 @@ def held(config: DictConfig, spec: Spec) -> dict[int, float]:
 
 
 def _quadratic(
-    config: DictConfig, spec: Spec, dtype: torch.dtype, device: torch.device | None
+    config: Settings, spec: Spec, dtype: torch.dtype, device: torch.device | None
 ) -> QuadraticReward:
     known_keys("reward", config, KEYS)
     goal, of_state = config.get("goal") or 0.0, _named(config, "state")

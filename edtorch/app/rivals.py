@@ -16,12 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import DictConfig
 from rich.console import Console
-from torch.utils.tensorboard.writer import SummaryWriter
 
 from edtorch.app.budget import build_budget
-from edtorch.app.checks import at_least, check_keys, check_numbers, check_seeds
+from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct
 from edtorch.app.domain import build_sim, changed_domain
@@ -31,6 +29,7 @@ from edtorch.app.limit import variant
 from edtorch.app.policy import build_linear_policy
 from edtorch.app.reward import build_plain_reward
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
+from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.app.summary import summary_table
 from edtorch.app.trials import Paid, Trials
@@ -43,7 +42,7 @@ from edtorch.rivals.runs import SLOTS, Runs, can_try, fresh_episodes
 from edtorch.run.checkpoint import PolicyCard, save_policy, write_text
 from edtorch.run.episodes import Budget, Episode
 from edtorch.run.evaluation import evaluate
-from edtorch.run.log import median
+from edtorch.run.log import median, summary_writer
 from edtorch.run.scaled_sim import World
 from sims.base import Spec
 
@@ -75,9 +74,8 @@ def rival_dtype(compute: Any) -> torch.dtype:
     return torch.float32 if compute.precision == "mixed" else torch.float64
 
 
-def build_rival(config: DictConfig) -> RivalSetup:
+def build_rival(config: Settings) -> RivalSetup:
     """Objects for a rival with a search per seed.  Raises ConfigError, which names the key."""
-    check_keys(config)
     check_numbers(config)
     check_seeds(config)
     at_least("compute.threads", config.compute.threads, 1)
@@ -109,7 +107,7 @@ def build_rival(config: DictConfig) -> RivalSetup:
     return RivalSetup(name, rival, problem, calm, budget, until, config.eval.episodes)
 
 
-def _refuse_parts_of_learners(config: DictConfig) -> None:
+def _refuse_parts_of_learners(config: Settings) -> None:
     """What would change nothing of a rival, and must not seem to."""
     if variant(config.command) != "free":
         raise ConfigError(
@@ -131,7 +129,7 @@ class _Report:
     """Checkpoints to ``metrics.csv``, TensorBoard and the console; it also looks for a stop."""
 
     def __init__(
-        self, setup: RivalSetup, config: DictConfig, folder: Path, stop: Stop, console: Console
+        self, setup: RivalSetup, config: Settings, folder: Path, stop: Stop, console: Console
     ) -> None:
         self._seeds = setup.seeds
         self._stop = stop
@@ -139,7 +137,7 @@ class _Report:
         self._file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
         self._rows = csv.writer(self._file)
         self._rows.writerow(("seed", *COLUMNS))
-        self._board = SummaryWriter(str(folder)) if config.log.tensorboard else None
+        self._board = summary_writer(folder) if config.log.tensorboard else None
         self._shown = config.log.progress
         self._printed = -math.inf
 
@@ -292,7 +290,7 @@ def rival_card(setup: RivalSetup, search: Search, spec: Spec) -> PolicyCard:
 
 
 def run_rival(
-    setup: RivalSetup, config: DictConfig, folder: Path, stop: Stop, console: Console
+    setup: RivalSetup, config: Settings, folder: Path, stop: Stop, console: Console
 ) -> dict[str, Any]:
     """Search, write everything; returns the content of ``summary.json``."""
     title = f"{setup.problem.world.spec.name}, {setup.name}, {len(setup.seeds)} seeds"

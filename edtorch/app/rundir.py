@@ -12,16 +12,15 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
-
+from edtorch.app.compose import as_yaml, read_yaml
 from edtorch.app.errors import ConfigError, no_such_folder
 from edtorch.app.given import described
-from edtorch.app.schemas import TrainConfig
+from edtorch.app.schema import checked
+from edtorch.app.settings import Settings
 from edtorch.run.checkpoint import FileProblem, write_text
 
 CONFIG = "config.yaml"
@@ -68,9 +67,9 @@ def json_text(content: Any) -> str:
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
-def settings_text(config: DictConfig) -> str:
+def settings_text(config: Settings) -> str:
     """The text of ``config.yaml``."""
-    return OmegaConf.to_yaml(described(OmegaConf.to_container(config, resolve=True)))
+    return as_yaml(described(config))
 
 
 class RunFolder:
@@ -84,7 +83,7 @@ class RunFolder:
         self._key = key
         self._began = time.time()
 
-    def begin(self, config: DictConfig, seeds: list[int]) -> None:
+    def begin(self, config: Settings, seeds: list[int]) -> None:
         """Write what is known before the first tick.
 
         Raises ConfigError if the folder already holds a run or cannot be written to.
@@ -125,22 +124,35 @@ class RunFolder:
         write_text(self.path / STATUS, json_text(content))
 
 
-def load_config(folder: Path) -> DictConfig:
+def load_config(folder: Path) -> Settings:
     """The resolved configuration of a run.  Raises NotARun or FileProblem."""
+    return as_settings(folder, read_config(folder))
+
+
+def read_config(folder: Path) -> Mapping[str, Any]:
+    """The configuration of a run as its file has it.  Raises NotARun or FileProblem."""
     path = folder / CONFIG
     if not path.is_file():
         raise no_such_folder(folder, CONFIG)
     try:
-        config = OmegaConf.load(path)
-        if not isinstance(config, DictConfig) or "domain" not in config or "policy" not in config:
-            raise FileProblem(f"{path}: expected the configuration of a training run")
-        # What a run wrote is complete; the schema says so, and has the types.
-        merged = OmegaConf.merge(OmegaConf.structured(TrainConfig), config)
-    except (YAMLError, OmegaConfBaseException, UnicodeDecodeError) as error:
-        why = " ".join(str(error).split())
-        raise FileProblem(
-            f"{path}: expected the configuration of a training run ({why})"
-        ) from error
-    if not isinstance(merged, DictConfig):
-        raise FileProblem(f"{path}: expected the configuration of a training run")
-    return merged
+        content = read_yaml(path)
+    except ValueError as error:
+        raise _unfit(path, error) from error
+    if "domain" not in content or "policy" not in content:
+        raise _unfit(path, "no domain or no policy")
+    return content
+
+
+def as_settings(folder: Path, content: Mapping[str, Any]) -> Settings:
+    """What the configuration of the run in ``folder`` sets.  Imports the classes that it names.
+
+    Raises FileProblem.
+    """
+    try:
+        return checked(content)
+    except ConfigError as error:
+        raise _unfit(folder / CONFIG, error) from error
+
+
+def _unfit(path: Path, why: object) -> FileProblem:
+    return FileProblem(f"{path}: expected the configuration of a training run ({why})")

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import torch
-from omegaconf import DictConfig, OmegaConf
 from rich.table import Table
 from torch import Tensor
 
 from edtorch.app.evaluations import Evaluations
 from edtorch.app.rundir import command_line, versions
+from edtorch.app.settings import Settings
 from edtorch.learner.learner import Check
 from edtorch.report.statistics import evaluation_figures, learning_figures
 from edtorch.run.training import Training
@@ -139,7 +139,7 @@ def medians(summary: dict[str, Any]) -> dict[str, float]:
     }
 
 
-def flat_settings(config: DictConfig) -> dict[str, str | float | bool]:
+def flat_settings(config: Settings) -> dict[str, str | float | bool]:
     """Every leaf of the configuration by its full key, for TensorBoard's table of settings."""
     flat: dict[str, str | float | bool] = {}
 
@@ -151,5 +151,5 @@ def flat_settings(config: DictConfig) -> dict[str, str | float | bool]:
                 plain = isinstance(value, bool | int | float)
                 flat[f"{prefix}{key}"] = value if plain else str(value)
 
-    visit(OmegaConf.to_container(config, resolve=True), "")
+    visit(config.plain(), "")
     return flat

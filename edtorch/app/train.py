@@ -2,185 +2,49 @@
 
 from __future__ import annotations
 
-import contextlib
-import logging
-import math
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import hydra
-import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig
-from rich.console import Console
 
-from edtorch.app import schemas
-from edtorch.app.build import build
-from edtorch.app.errors import ConfigError, guarded, refusing
+from edtorch.app.compose import CONF, launch, plainly
+from edtorch.app.errors import guarded, refusing
 from edtorch.app.folders import remove_empty
-from edtorch.app.job import Job
-from edtorch.app.offline import build_offline, is_offline, run_offline
-from edtorch.app.options import with_options_named
-from edtorch.app.outputs import open_sinks, save_learned, save_results
-from edtorch.app.random_search import build_search, is_rival, is_search, run_search
-from edtorch.app.rivals import build_rival, run_rival
-from edtorch.app.rundir import RunFolder
-from edtorch.app.signals import Interrupted, Stop
-from edtorch.app.summary import summary_table
-from edtorch.run.log import ConsoleSink, StderrHandler
-
-logger = logging.getLogger("edtorch")
+from edtorch.app.schema import checked
+from edtorch.app.signals import Stop
 
 _STARTED = time.monotonic() - time.process_time()
 """When the process began, near enough: until now it has only imported."""
 
 
-def _train(job: Job, folder: Path, began: float) -> dict[str, Any]:
-    """Learn, evaluate, write everything; returns the content of ``summary.json``."""
-    timing, console = job.timing, job.console
-    timing.startup_s = time.monotonic() - began
-    sinks, board = open_sinks(job, folder)
-    if job.config.log.progress:
-        sinks.append(ConsoleSink(console))
-    try:
-        job.learn(sinks, lambda job, ended: save_learned(job, folder, ended=ended))
-        job.evaluate()
-        summary = save_results(job, folder, board)
-    finally:
-        for sink in sinks:
-            sink.close()
-    console.print(summary_table(summary, job.title))
-    if summary["never_rode"]:
-        console.print(_never_rode(summary["never_rode"]), soft_wrap=True)
-    console.print(
-        f"learning {timing.wall_s:.1f} s ({timing.ticks_per_cpu_s:.0f} learner ticks per CPU s),"
-        f" evaluation {timing.eval_s:.1f} s, pictures {timing.figures_s:.1f} s",
-        soft_wrap=True,
-    )
-    console.print(f"run folder: {folder}", soft_wrap=True)
-    return summary
-
-
-def _never_rode(seeds: list[int], most: int = 20) -> str:
-    listed = ", ".join(map(str, seeds[:most]))
-    more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
-    return f"never rode: seeds {listed}{more}"
-
-
-@contextlib.contextmanager
-def _logging_to(folder: Path) -> Iterator[None]:
-    """Messages go to ``run.log`` in the folder, and to stderr."""
-    file = logging.FileHandler(folder / "run.log", encoding="utf-8")
-    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    stderr = StderrHandler()
-    # What ends the run reaches the user as the command's last words.
-    stderr.addFilter(lambda record: record.exc_info is None)
-    handlers = [file, stderr]
-    logger.setLevel(logging.INFO)
-    logger.propagate = False
-    for handler in handlers:
-        logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        for handler in handlers:
-            logger.removeHandler(handler)
-            handler.close()
-
-
-def _work(
-    config: DictConfig, folder: RunFolder, stop: Stop, began: float
-) -> tuple[list[int], Callable[[], dict[str, Any]]]:
-    """The seeds, and what there is to do: learn, or whatever a rival does instead."""
-    if is_offline(config):
-        offline = build_offline(config)
-        seeds = offline.setup.seeds
-        return seeds, lambda: run_offline(offline, config, folder.path, stop, Console(), began)
-    if is_rival(config) and config.log.transitions:
-        raise ConfigError("log.transitions=true: expected false with a rival, which keeps none")
-    if is_rival(config) and not is_search(config):
-        rival = build_rival(config)
-        return rival.seeds, lambda: run_rival(rival, config, folder.path, stop, Console())
-    if is_rival(config):
-        search = build_search(config)
-        return [search.seed], lambda: run_search(search, config, folder.path, stop, Console())
-    setup = build(config)
-    return setup.seeds, lambda: _train(Job(setup, config, stop, Console()), folder.path, began)
-
-
-def _headline(summary: dict[str, Any]) -> float:
-    """What a sweeper minimises: simulated seconds before the first ride, or for a rival those that
-    a policy costs that always reaches the goal."""
-    if "seconds_before_first_ride" in summary:
-        return float(summary["seconds_before_first_ride"]["median"])
-    cost = summary["simulated_seconds_per_goal_policy"]
-    return math.inf if cost is None else float(cost)
-
-
-def _run(config: DictConfig, folder: RunFolder, stop: Stop, began: float) -> dict[str, Any]:
-    """The job from configuration to table; the folder says at any time what has become of it."""
-    seeds, work = _work(config, folder, stop, began)
-    torch.set_num_threads(config.compute.threads)
-    folder.begin(config, seeds)
-    try:
-        with _logging_to(folder.path):
-            try:
-                summary = work()
-            except Exception:
-                logger.exception("failed")
-                raise
-    except KeyboardInterrupt as error:
-        with stop.not_now():
-            folder.set_status("interrupted", "stopped by a signal; saved as of then")
-        raise Interrupted(f"saved in {folder.path}") from error
-    except BaseException as error:
-        with stop.not_now(), contextlib.suppress(OSError):
-            folder.set_status("failed", f"{type(error).__name__}: {error}")
-        raise
-    with stop.not_now():
-        folder.set_status("done")
-    if stop.asked:
-        raise Interrupted(f"the run in {folder.path} is complete")
-    return summary
-
-
-def _task(config: DictConfig) -> float:
+def _task(composed: Any) -> float:
     """One job.  Returns its headline figure, for sweepers to minimise."""
-    settings = HydraConfig.get()
-    alone = settings.mode == RunMode.RUN
+    hydra = HydraConfig.get()
+    alone = hydra.mode == RunMode.RUN
     began = _STARTED if alone else time.monotonic()
-    key = "hydra.run.dir" if alone else "hydra.sweep.dir"
-    folder = RunFolder(Path(settings.runtime.output_dir), key)
+    folder = Path(hydra.runtime.output_dir)
     stop = Stop()
     try:
-        with stop.listening(), refusing(config.debug):
-            summary = _run(config, folder, stop, began)
+        with stop.listening(), refusing():
+            settings = checked(plainly(composed))
+            # Not before: what a job needs takes seconds to import.
+            from edtorch.app.rundir import RunFolder
+            from edtorch.app.work import headline, run
+
+            key = "hydra.run.dir" if alone else "hydra.sweep.dir"
+            summary = run(settings, RunFolder(folder, key), stop, began)
     finally:
         if not alone:
-            remove_empty(folder.path, folder.path.parent)
-    return _headline(summary)
+            remove_empty(folder, folder.parent)
+    return headline(summary)
 
 
 def main() -> None:
     """Entry point of ``edtorch-train``."""
-    schemas.register()
-    typed = list(sys.argv)
-
-    def task(config: DictConfig) -> float:
-        sys.argv[:] = typed
-        return _task(config)
-
-    run = hydra.main(version_base="1.3", config_path="pkg://conf", config_name="train")(task)
-
-    def start() -> None:
-        sys.argv[1:] = with_options_named(typed[1:])
-        run()
-
-    sys.exit(guarded("edtorch-train", start))
+    sys.exit(guarded("edtorch-train", lambda: launch(_task, CONF, "train")))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch._inductor import aoti_compile_and_package, aoti_load_package
 from torch.utils import _pytree as pytree
 
 from edtorch.compiled.compilation import CannotCompile, check_compiler
@@ -135,6 +134,9 @@ def program_name(function: object, parts: Sequence[object], tensors: Sequence[Te
 
 def _make(graph: torch.nn.Module, arguments: tuple[Any, ...], size: int, path: Path) -> None:
     """Export, turn, compile, and move the result into place."""
+    # The compiler takes seconds to import; only runs that compile pay for it.
+    from torch._inductor import aoti_compile_and_package
+
     with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         exported = torch.export.export(graph, arguments, strict=False).run_decompositions({})
@@ -162,6 +164,8 @@ def compile_graph(
     returns the like; function: what it computes, parts: the objects whose code it runs, both to
     know it again.  Raises CannotCompile.
     """
+    from torch._inductor import aoti_load_package
+
     check_compiler()
     tensors = pytree.tree_leaves(arguments)
     path = cache_folder() / f"{program_name(function, parts, tensors)}.pt2"

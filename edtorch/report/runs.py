@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import yaml
 
-from edtorch.renamed import current_target
+from edtorch.renamed import current_keys, current_target
 
 CONFIG, SUMMARY, STATUS, ABOUT = "config.yaml", "summary.json", "status.json", "run.json"
 ABOUT_KINDS: dict[str, type] = {"versions": dict, "command": str, "git": str}
@@ -191,7 +191,7 @@ def _settings(path: Path) -> dict[str, Any]:
     try:
         content = yaml.safe_load(_text(path))
         if isinstance(content, dict):
-            return flat(content)
+            return flat(current_keys(content))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         why = " ".join(str(error).split())
         raise Unusable(f"corrupted: {path.name} is not YAML ({why})") from error

@@ -33,7 +33,8 @@ SECONDS_BETWEEN_REPORTS = 0.5
 class RandomSearch:
     """policies: how many; runs: episodes of each; low, high: bounds of the weights, which meet
     scaled states and give scaled actions; slots: episodes at a time in a process; look: ticks
-    between two looks at them.  The last two change the speed, not the result."""
+    between two looks at them; processes: of this many cores, None: all that this process may use.
+    The last three change the speed, not the result."""
 
     policies: int = 100_000
     runs: int = 30
@@ -41,6 +42,7 @@ class RandomSearch:
     high: float = 2.0
     slots: int = 1024
     look: int = 128
+    processes: int | None = None
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""

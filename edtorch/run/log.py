@@ -10,15 +10,24 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
-from torch.utils.tensorboard.summary import hparams
-from torch.utils.tensorboard.writer import SummaryWriter
 
 from edtorch.run.episodes import Episode, Snapshot
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard.writer import SummaryWriter
+
+
+def summary_writer(folder: Path) -> SummaryWriter:
+    """TensorBoard's writer of event files in ``folder``."""
+    # Half a second of imports, for those runs that write event files.
+    from torch.utils.tensorboard.writer import SummaryWriter
+
+    return SummaryWriter(str(folder))
 
 
 class Sink(Protocol):
@@ -107,7 +116,7 @@ class TensorBoardSink:
     """Scalars by simulated seconds, over the population: median, and extremes where they tell."""
 
     def __init__(self, folder: Path, config_text: str) -> None:
-        self.writer = SummaryWriter(str(folder))
+        self.writer = summary_writer(folder)
         self.writer.add_text("config", f"```yaml\n{config_text}\n```")
 
     def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
@@ -150,6 +159,8 @@ class TensorBoardSink:
 
     def hparams(self, settings: dict[str, str | float | bool], results: dict[str, float]) -> None:
         """The settings beside the results, in this run's own event file."""
+        from torch.utils.tensorboard.summary import hparams
+
         writer = self.writer.file_writer
         if writer is None:
             raise ValueError("the TensorBoard sink is closed")

@@ -13,7 +13,6 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
-from hydra.core.config_store import ConfigStore
 
 from edtorch.app import evaluate, report, train
 from edtorch.app.signals import SIGNALS
@@ -56,8 +55,6 @@ def call(command: str, *arguments: str) -> Result:
     out, err = StringIO(), StringIO()
     handlers = {number: signal.getsignal(number) for number in SIGNALS}
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        store = ConfigStore.instance()
-        patch.setattr(store, "repo", {"hydra": store.repo.get("hydra", {})})
         patch.setattr(sys, "argv", [command, *arguments])
         with pytest.raises(SystemExit) as left:
             MAINS[command]()

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator
-from dataclasses import Field, fields, replace
-from pathlib import Path
+from dataclasses import fields, replace
 from typing import Any
 
 import pytest
 import torch
-from hydra import compose, initialize_config_module
-from hydra.core.config_store import ConfigStore
-from hydra.utils import get_class
-from omegaconf import MISSING, DictConfig, OmegaConf
+import yaml
 
-import conf
-from edtorch.app import schemas
+from edtorch.app import groups
 from edtorch.app.build import Setup, build
+from edtorch.app.compose import CONF as ROOT
+from edtorch.app.compose import compose
+from edtorch.app.domain import build_sim
 from edtorch.app.random_search import build_search
 from edtorch.app.rivals import build_rival
+from edtorch.app.schema import defaults
+from edtorch.app.settings import Settings
 from edtorch.inverse.policy import InversePolicy
-from edtorch.learner.learner import Learner
+from edtorch.report.runs import flat
 from edtorch.rivals.random_search import search
 from edtorch.run.episodes import Budget
 from edtorch.run.evaluation import evaluate
@@ -29,8 +28,8 @@ from edtorch.run.training import Training
 from edtorch.value.unroll import Horizon
 from sims.base import Outcome
 from sims.bicycle import Bicycle
+from sims.bicycle.slalom import Slalom
 
-ROOT = Path(str(conf.__file__)).parent
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "experiment").glob("*.yaml"))
 RIVALS = [
     name
@@ -78,17 +77,8 @@ BESIDE = {
 }
 
 
-@pytest.fixture(autouse=True)
-def hydra(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    store = ConfigStore.instance()
-    monkeypatch.setattr(store, "repo", {"hydra": store.repo.get("hydra", {})})
-    schemas.register()
-    with initialize_config_module("conf", version_base="1.3"):
-        yield
-
-
-def _compose(*overrides: str) -> DictConfig:
-    return compose("train", list(overrides))
+def _compose(*overrides: str) -> Settings:
+    return compose(overrides)
 
 
 @pytest.mark.experiment
@@ -153,97 +143,52 @@ def test_option_builds(group: str, option: str) -> None:
 
 
 def test_every_option_is_known_here() -> None:
-    """Groups in ``conf`` and in the schema of the whole are the same."""
-    groups = {group for group, _ in OPTIONS}
-    assert groups == {f.name for f in fields(schemas.TrainConfig)} - schemas.SCALARS
+    """Groups in ``conf`` and in the schema are the same."""
+    assert {group for group, _ in OPTIONS} == {*groups.GROUPS}
 
 
-def _settable(constructor: Any, handed_in: set[str]) -> set[str]:
-    return set(inspect.signature(constructor).parameters) - handed_in
+# Their files state choices, not defaults.
+CHOICES = {"reward", "train"}
+VARIANTS = {
+    f"bicycle_{name}"
+    for name in ("change", "gyroscopic", "off_balance", "sensors", "spread", "wind")
+}
 
 
-# Schemas without a _target_: what they are handed to, and what that gets from elsewhere.
+@pytest.mark.parametrize(("group", "option"), OPTIONS, ids=str)
+def test_the_files_repeat_the_defaults_of_the_constructors(group: str, option: str) -> None:
+    if group in CHOICES or option in VARIANTS:
+        return
+    if option == "cardea":
+        pytest.importorskip("pybullet", reason="the extra [cardea] is not installed")
+    text = (ROOT / group / f"{option}.yaml").read_text(encoding="utf-8")
+    written = flat({group: yaml.safe_load(text) or {}})
+    known = defaults(written)
+    for key, value in written.items():
+        if key in known and not key.endswith("_target_"):
+            assert float(value) == known[key] if isinstance(known[key], float) else True, key
+            assert value == known[key] or isinstance(known[key], float), key
+
+
+def test_the_bicycle_of_the_file_is_that_of_the_constructor() -> None:
+    assert build(_compose("domain=bicycle")).world.sim == Bicycle()
+    assert build_sim(_compose("domain=slalom").domain) == Slalom()
+
+
+# What the fields of a group without a class are handed to, and what else that gets.
 DIRECT = [
-    (schemas.BudgetConfig, Budget, set()),
-    (schemas.UnrollConfig, Horizon, {"steps", "unit"}),
-    (schemas.InverseConfig, InversePolicy, {"layout"}),
+    (groups.Train, Budget, set[str]()),
+    (groups.Unroll, Horizon, {"steps", "unit"}),
+    (groups.Inverse, InversePolicy, {"layout"}),
 ]
-# Settings of the group inverse that are not its policy's.
-OF_THE_LEARNER = {
-    "variant",
-    "features",
-    "every",
-    "recent",
-    "trust_acceleration",
-    "trust_speed",
-}
-# From the domain, not from configuration; and what a transform says of itself.
-HANDED_IN = {
-    "states",
-    "actions",
-    "period",
-    "dtype",
-    "stretch",
-    "generator",
-    "model",
-    "deviations",
-}
 
 
-def _schema_fields(node: DictConfig) -> tuple[Field[Any], ...]:
-    schema = OmegaConf.get_type(node)
-    assert schema is not None
-    return fields(schema)
-
-
-def _with_target() -> list[tuple[str, str]]:
-    return [
-        (group, option)
-        for group, option in OPTIONS
-        if group in {"domain", "model", "fit", "noise", "policy", "transform", "step"}
-    ]
-
-
-@pytest.mark.parametrize(("group", "option"), _with_target(), ids=str)
-def test_schema_has_the_keys_of_its_constructor(group: str, option: str) -> None:
-    node = _compose(f"{group}={option}")[group]
-    target = get_class(node._target_)
-    names = {f.name for f in _schema_fields(node)} - {"_target_"}
-    if group == "noise":
-        # Exploration stands beside the rule for the noise, and is the learner's.
-        names -= {"exploration", "exploration_start", "exploration_decay"}
-    # A filter is an estimator that knows model and sensors.
-    known = {"model", "noise"} if group == "fit" else set[str]()
-    assert names == _settable(target, HANDED_IN | known)
-
-
-@pytest.mark.parametrize(("group", "option"), _with_target(), ids=str)
-def test_schema_has_the_defaults_of_its_constructor(group: str, option: str) -> None:
-    node = _compose(f"{group}={option}")[group]
-    parameters = inspect.signature(get_class(node._target_)).parameters
-    for field in _schema_fields(node):
-        default = parameters[field.name].default if field.name in parameters else None
-        plain = isinstance(default, int | float | str)
-        if plain and not isinstance(field.default, str | None) and field.default is not MISSING:
-            assert field.default == default, field.name
-
-
-def test_physics_has_the_constants_of_the_bicycle() -> None:
-    target = get_class("sims.bicycle.Physics")
-    assert {f.name for f in fields(schemas.PhysicsConfig)} - {"_target_"} == _settable(
-        target, set()
-    )
-    assert build(_compose("domain=bicycle")).world.sim == get_class("sims.bicycle.Bicycle")()
-
-
-@pytest.mark.parametrize(("schema", "constructor", "handed_in"), DIRECT)
-def test_direct_schema(schema: type, constructor: Any, handed_in: set[str]) -> None:
-    names = {f.name for f in fields(schema)}
-    assert _settable(constructor, handed_in) <= names
-    rest = names - _settable(constructor, handed_in)
-    own = {"horizon", "path", "start", "start_deviation", "direction", "until"}
-    assert rest <= own | OF_THE_LEARNER
-    assert "exploration" in _settable(Learner, set())
+@pytest.mark.parametrize(("group", "constructor", "handed_in"), DIRECT)
+def test_fields_are_those_of_the_constructor(
+    group: type, constructor: Any, handed_in: set[str]
+) -> None:
+    accepted = set(inspect.signature(constructor).parameters) - handed_in
+    assert accepted <= {f.name for f in fields(group)}
 
 
 def _first_falls(setup: Setup) -> list[float]:
@@ -271,7 +216,11 @@ def test_the_paper_s_settings() -> None:
     config = _compose("experiment=bicycle_paper")
     assert config.fit._target_ == "edtorch.model.fit.AbsoluteError"
     assert (config.fit.rate, config.step.alpha, config.step.beta) == (1.0, 0.1, 1.0)
-    assert (config.noise.exploration, config.unroll.horizon, config.unroll.dt) == (0.05, 30, 0.051)
+    assert (config.exploration.deviation, config.unroll.horizon, config.unroll.dt) == (
+        0.05,
+        30,
+        0.051,
+    )
     assert dict(config.reward.state) == {"angle_to_goal": 1.0, "lean": 10.0}
 
 

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import csv
-import inspect
 import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import pytest
 from safetensors.torch import load_file
-
-from edtorch.app import schemas
-from edtorch.rivals.random_search import RandomSearch
 
 Command = Callable[..., Any]
 
@@ -136,12 +131,3 @@ def test_refuses_with_one_line(
     assert result.status == 1
     assert re.search(wanted, result.line), result.line
     assert list(workplace.iterdir()) == []
-
-
-def test_schema_has_the_keys_of_its_constructor() -> None:
-    names = {f.name for f in fields(schemas.RandomSearchConfig)} - {"_target_", "processes"}
-    parameters = inspect.signature(RandomSearch).parameters
-    assert names == set(parameters)
-    for field in fields(schemas.RandomSearchConfig):
-        if field.name in parameters:
-            assert field.default == parameters[field.name].default, field.name

@@ -127,7 +127,7 @@ def test_tensorboard_reads_it_back(finished: Path) -> None:
         "_hparams_/session_end_info",
     }
     started = hparams["_hparams_/session_start_info"].plugin_data.content
-    assert b"noise.exploration" in started and b"step.alpha" in started
+    assert b"exploration.deviation" in started and b"step.alpha" in started
 
 
 def test_two_runs_have_the_same_digits(
@@ -255,7 +255,7 @@ def test_sweep(command: Command, workplace: Path, quick: tuple[str, ...]) -> Non
     for name, deviation in (("0", 0.02), ("1", 0.05)):
         folder = workplace / "s" / name
         assert _json(folder / "status.json")["status"] == "done"
-        assert load_config(folder).noise.exploration == deviation
+        assert load_config(folder).exploration.deviation == deviation
         assert {"summary.json", "metrics.csv", "policy.safetensors"} <= {
             p.name for p in folder.iterdir()
         }
@@ -268,7 +268,7 @@ def test_bad_job_of_a_sweep(command: Command, workplace: Path, quick: tuple[str,
     )
     assert result.status == 1
     assert result.err.splitlines()[-1] == (
-        "edtorch-train: noise.exploration=-1.0: expected a number >= 0"
+        "edtorch-train: noise.exploration=-1.0: expected a finite number >= 0"
     )
     assert _json(workplace / "s" / "0" / "status.json")["status"] == "done"
     assert not (workplace / "s" / "1").exists()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 
 import pytest
-from omegaconf import OmegaConf
 
 from edtorch.app.construct import construct
 from edtorch.app.errors import ConfigError
@@ -21,7 +20,7 @@ def test_without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
     ):
         Cardea()
     with pytest.raises(ConfigError, match=r"domain\._target_=sims.*pip install") as refusal:
-        construct("domain", OmegaConf.create({"_target_": "sims.cardea.Cardea"}))
+        construct("domain", {"_target_": "sims.cardea.Cardea"})
     assert "\n" not in str(refusal.value)
 
 

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hydra import compose, initialize_config_module
-from omegaconf import OmegaConf
 
-from edtorch.app import schemas
+from edtorch.app.compose import compose
 from studies.cells import BadCells, Cell, chosen, is_done, wanted
 from tests.report.folders import learners
 
@@ -28,10 +26,7 @@ def test_an_empty_folder_is_not_done(tmp_path: Path) -> None:
 def test_a_run_from_before_a_setting_was_there_is_done(tmp_path: Path) -> None:
     """It then had the value that is now the default; with another one it is another run."""
     cell = Cell("t", "c", ("experiment=bicycle", "seeds=2"))
-    schemas.register()
-    with initialize_config_module("conf", version_base="1.3"):
-        config = OmegaConf.to_container(compose("train", list(cell.overrides)), resolve=True)
-    assert isinstance(config, dict)
+    config = compose(cell.overrides).plain()
     del config["train"]["until"], config["observation"], config["schedule"]["every"]
     learners(tmp_path / "run", [0, 1])
     (tmp_path / "run" / "config.yaml").write_text(yaml.safe_dump(config))

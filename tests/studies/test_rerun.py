@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 import yaml
-from hydra.errors import HydraException
 
+from edtorch.app.errors import ConfigError
 from edtorch.report.proportions import Proportion
 from edtorch.report.runs import load
 from studies import rerun, rerun_paper
@@ -89,7 +89,7 @@ def _composed(plan: Plan) -> dict[str, Any]:
     for cell in plan.cells:
         try:
             found[cell.title] = wanted(cell)
-        except HydraException as error:
+        except ConfigError as error:
             assert re.match(r"In 'train': Could not find 'experiment/bicycle_", str(error)), error
     return found
 

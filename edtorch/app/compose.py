@@ -1,0 +1,105 @@
+"""Composition by Hydra, and YAML: the only place where configurations are not plain yet."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra._internal.utils import _run_hydra, get_args_parser
+from hydra.errors import HydraException
+from hydra.version import setbase
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from edtorch.app.errors import ConfigError, one_line
+from edtorch.app.options import with_options_named
+from edtorch.app.overrides import typing
+from edtorch.app.schema import checked
+from edtorch.app.settings import Settings
+from edtorch.renamed import RENAMED_KEYS
+
+_OVERRIDE = re.compile(
+    r"(?P<sign>\+\+|\+|~|)(?P<key>[A-Za-z_]\w*(\.[^.=@/]+)*)(?P<rest>=.*|)", re.S
+)
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+"""Found beside the package and not by name: a user's own folder ``conf`` may come first there."""
+
+
+def compose(overrides: Sequence[str] = (), name: str = "train") -> Settings:
+    """The complete settings of ``edtorch-train`` with these overrides.  Raises ConfigError."""
+    with typing(overrides):
+        try:
+            with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+                composed = hydra.compose(name, prepared(with_options_named(overrides)))
+        except (HydraException, OmegaConfBaseException, ValueError) as error:
+            raise ConfigError(one_line(error)) from error
+        return checked(plainly(composed))
+
+
+def prepared(overrides: Sequence[str]) -> list[str]:
+    """The overrides as Hydra gets them.
+
+    Settings within a group are added with ``++`` whether or not a file of the group lists them:
+    the constructor that they are for knows its arguments (``edtorch.app.schema``).  Former names
+    become the present ones.  Raises ConfigError where both names of a setting are given.
+    """
+    keys = {override.lstrip("+~").partition("=")[0] for override in overrides}
+    return [_prepared(override, keys) for override in overrides]
+
+
+def _prepared(override: str, keys: set[str]) -> str:
+    match = _OVERRIDE.fullmatch(override)
+    if match is None or "." not in match["key"] or match["key"].startswith("hydra."):
+        return override
+    key = RENAMED_KEYS.get(match["key"], match["key"])
+    if key != match["key"] and key in keys:
+        raise ConfigError(f"{override}: is now called {key}, which is given as well")
+    sign = match["sign"] if match["sign"] == "~" else "++"
+    return f"{sign}{key}{match['rest']}"
+
+
+def plainly(composed: Any) -> dict[str, Any]:
+    """What Hydra composed as dicts and lists, interpolations resolved."""
+    content = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    assert isinstance(content, dict)
+    return {str(key): value for key, value in content.items() if key != "hydra"}
+
+
+def launch(task: Callable[[Any], Any], folder: Path, name: str) -> None:
+    """Run ``task`` on what Hydra composes from the command line, once or, with -m, often.
+
+    folder, name: of the primary configuration.
+    """
+    parser = get_args_parser()
+    arguments = parser.parse_args()
+    arguments.overrides = prepared(with_options_named(arguments.overrides))
+    setbase("1.3")
+    _run_hydra(
+        args=arguments,
+        args_parser=parser,
+        task_function=task,
+        config_path=str(folder),
+        config_name=name,
+    )
+
+
+def as_yaml(content: Mapping[str, Any]) -> str:
+    """The text of a configuration file; content: dicts and lists."""
+    return OmegaConf.to_yaml(OmegaConf.create(dict(content)))
+
+
+def read_yaml(path: Path) -> Mapping[str, Any]:
+    """The content of a configuration file.  Raises ValueError where it is none."""
+    try:
+        loaded = OmegaConf.load(path)
+        content = OmegaConf.to_container(loaded, resolve=True)
+    except (YAMLError, OmegaConfBaseException, UnicodeDecodeError, OSError) as error:
+        raise ValueError(" ".join(str(error).split())) from error
+    if not isinstance(loaded, DictConfig) or not isinstance(content, dict):
+        raise ValueError("not a mapping")
+    return {str(key): value for key, value in content.items()}

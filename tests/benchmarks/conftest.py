@@ -1,3 +1,0 @@
-"""Tests of this folder compose configurations."""
-
-from tests.config_store import hydra as hydra
