@@ -27,7 +27,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 import edtorch.renamed as _renamed
-import sims as _sims  # noqa: F401  # registers edtorch/Bicycle-v0 with Gymnasium
+from edtorch.beside import claim as _claim
 from edtorch.types import Belief, LearnerState, Metrics, Trajectory, Transition
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from edtorch.app.learned import Run
 
 _renamed.install()
+_claim("sims")  # which registers edtorch/Bicycle-v0 with Gymnasium
 
 __version__ = "0.1.0"
 

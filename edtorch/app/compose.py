@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,13 +21,14 @@ from edtorch.app.options import with_options_named
 from edtorch.app.overrides import typing
 from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
+from edtorch.beside import ROOT
 from edtorch.renamed import RENAMED_KEYS
 
 _OVERRIDE = re.compile(
     r"(?P<sign>\+\+|\+|~|)(?P<key>[A-Za-z_]\w*(\.[^.=@/]+)*)(?P<rest>=.*|)", re.S
 )
 
-CONF = Path(__file__).resolve().parents[2] / "conf"
+CONF = ROOT / "conf"
 """Found beside the package and not by name: a user's own folder ``conf`` may come first there."""
 
 
@@ -75,6 +77,9 @@ def launch(task: Callable[[Any], Any], folder: Path, name: str) -> None:
 
     folder, name: of the primary configuration.
     """
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # for _target_=my_module.MyClass
     parser = get_args_parser()
     arguments = parser.parse_args()
     arguments.overrides = prepared(with_options_named(arguments.overrides))

@@ -11,6 +11,7 @@ from hydra.utils import get_class, get_method, instantiate
 from edtorch.app.errors import ConfigError, under, unknown_key
 from edtorch.app.given import Given
 from edtorch.app.settings import Settings, plain
+from edtorch.beside import hidden
 from edtorch.renamed import current_target
 
 _GATHERING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -34,6 +35,10 @@ def target_class(group: str, config: Any) -> Any:
         return get_class(current_target(name))
     except Exception as error:
         why = " ".join(str(error).split()) or type(error).__name__
+        package = str(name).partition(".")[0]
+        folder = hidden(package) if package in ("edtorch", "sims") else None
+        if folder is not None:
+            why += f"; {folder} is hidden by edtorch's package of that name, rename it"
         raise ConfigError(
             f"{group}._target_={name}: expected the full name of a class ({why})"
         ) from error

@@ -23,8 +23,8 @@ from edtorch.app.settings import Settings, merged, plain
 from edtorch.renamed import current_keys
 
 HANDED_IN = frozenset(
-    ("actions", "deviations", "dtype", "generator", "layout", "model", "names", "period", "spec")
-    + ("states", "stretch")
+    "actions deviations dtype generator layout middle model names period spec states"
+    " stretch".split()
 )
 """Arguments that the builders hand in, which are no settings."""
 

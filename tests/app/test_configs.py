@@ -165,7 +165,7 @@ def test_the_files_repeat_the_defaults_of_the_constructors(group: str, option: s
     written = flat({group: yaml.safe_load(text) or {}})
     known = defaults(written)
     for key, value in written.items():
-        if key in known and not key.endswith("_target_"):
+        if key in known and value != "???" and not key.endswith("_target_"):
             assert float(value) == known[key] if isinstance(known[key], float) else True, key
             assert value == known[key] or isinstance(known[key], float), key
 

@@ -79,7 +79,7 @@ def test_own_domain(
     status = json.loads((workplace / "run" / "status.json").read_text())
     assert status["status"] == "done"
     _, err = bad.communicate(timeout=patience)
-    assert err == "edtorch-train: domain.push=-1: expected a number > 0\n"
+    assert err == "edtorch-train: domain.push=-1.0: expected a number > 0\n"
     evaluation = start("edtorch-eval", "run=run", "episodes=2", **path)
     out, err = evaluation.communicate(timeout=patience)
     assert evaluation.returncode == 0, err
