@@ -73,6 +73,8 @@ BESIDE = {
         "+reward.state.state_0=1",
     ],
     ("reward", "quadratic"): ["+reward.state.lean=1"],
+    ("reward", "saturating"): ["reward.width.lean=0.1"],
+    ("fit", "local"): ["experiment=regulation"],
     ("offline", "recorded"): ["offline.data=transitions.npz"],
 }
 

@@ -250,7 +250,10 @@ RECORDING_REFUSED = [
     (["compute.compile=on"], r"log\.transitions=true: expected compute\.compile=auto or off"),
     (["seeds=10000", "train.seconds=1e6"], r"log\.transitions=true: 10000 learners of up to .*GiB"),
     (["rival=random_search"], r"log\.transitions=true: expected false with a rival"),
-    (["offline=recorded"], r"log\.transitions=true: expected false with offline=recorded"),
+    (
+        ["offline=recorded", "offline.data=x"],
+        r"log\.transitions=true: expected false with offline=recorded",
+    ),
     (["offline.data=x.npz"], r"offline\.data=x\.npz: unknown key"),
 ]
 

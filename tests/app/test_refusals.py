@@ -154,7 +154,7 @@ REFUSED = [
     (["+reward.state.foo=1"], r"reward\.state\.foo=1\.0: expected one of lean, lean_rate"),
     (["+reward.state.handlebar=-1"], r"reward\.state\.handlebar=-1\.0: expected .* >= 0"),
     (["reward=quadratic"], r"reward\.state=\{\}: expected a weight > 0 for one of lean"),
-    (["domain=gymnasium"], r"domain\.env_id: no value given; set it with domain\.env_id="),
+    (["domain=gymnasium"], r"domain\.env_id=None: expected either an id or an environment"),
     (
         ["domain=linear", "domain.state_matrix=[[1,2]]"],
         r"domain\.state_matrix=\[\[1\.0, 2\.0\]\]: exp",

@@ -118,7 +118,7 @@ def test_tensorboard_reads_it_back(finished: Path) -> None:
     )
     assert tags["images"] == ["learning_curve"]
     text = board.Tensors("config/text_summary")[0].tensor_proto.string_val[0].decode()
-    assert "exploration: 0.05" in text and "edtorch.policy.steps.SaturatedStep" in text
+    assert "deviation: 0.05" in text and "edtorch.policy.steps.SaturatedStep" in text
     hparams = board.summary_metadata
     named = {tag: m.plugin_data.plugin_name for tag, m in hparams.items()}
     assert {tag for tag, plugin in named.items() if plugin == HPARAMS} == {
@@ -302,7 +302,7 @@ def test_evaluation_of_a_run(
     ("arguments", "wanted"),
     [
         (["--help"], "edtorch-train"),
-        (["--cfg", "job"], "exploration: 0.05"),
+        (["--cfg", "job"], "deviation: 0.05"),
         (["--info", "defaults"], "saturated"),
     ],
 )
