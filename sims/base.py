@@ -63,7 +63,8 @@ class Measure:
     name: its key there, with the unit as suffix; label: words for tables and axes; unit: "" for a
     pure number; better: which direction is.  successes: whether it describes only episodes that
     end ``SUCCEEDED`` (a time to the goal); reports give the median of those, and of any other
-    measure the mean over all episodes.  median: key of the median beside that mean, "" for none.
+    measure the mean over all episodes.  median: key of the median beside that mean; pooled: key
+    of median, 95th percentile and greatest over the episodes of all seeds; "" for none.
     """
 
     name: str
@@ -72,16 +73,28 @@ class Measure:
     better: Literal["lower", "higher", "neither"] = "neither"
     successes: bool = False
     median: str = ""
+    pooled: str = ""
+
+    @property
+    def with_unit(self) -> str:
+        """The label, with its unit where it has one."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
 
 
 @dataclass(frozen=True)
 class Words:
-    """What a failure and a success of a domain are called, one and many."""
+    """What a failure and a success of a domain are called, one and many, and the past tense of the
+    verbs: "fell", "rode".  Lower case; they are also part of keys."""
 
     failure: str = "failure"
     failures: str = "failures"
     success: str = "success"
     successes: str = "successes"
+    failed: str = "failed"
+    succeeded: str = "succeeded"
+
+
+DEFAULT_WORDS = Words()
 
 
 @dataclass(frozen=True)
@@ -117,7 +130,7 @@ class Spec:
     goal: tuple[str, ...] = ()
     tracked: tuple[str, ...] = ()
     measures: tuple[Measure, ...] = ()
-    words: Words = Words()
+    words: Words = DEFAULT_WORDS
     survival: bool | None = None
     shortest: str = ""
     success_return: float | None = None

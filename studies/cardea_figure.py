@@ -12,10 +12,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from edtorch.report.domain import Domain
 from edtorch.report.figures import save_figure
-from edtorch.report.reaching import PANELS, reaching_curve
+from edtorch.report.task_curve import task_curve
 from edtorch.run.episodes import Episode
 from sims.base import Outcome
+from sims.cardea.cardea import MEASURES, WORDS
 
 
 def episodes_of(folder: Path, measures: Sequence[str] = ()) -> tuple[list[Episode], int]:
@@ -40,11 +42,10 @@ def episodes_of(folder: Path, measures: Sequence[str] = ()) -> tuple[list[Episod
 def main() -> None:
     folder, name, *given = sys.argv[1:]
     pairs = (argument.partition("=") for argument in given)
-    runs = {
-        label: episodes_of(Path(path), [name for name, _ in PANELS]) for label, _, path in pairs
-    }
+    runs = {label: episodes_of(Path(path), [m.name for m in MEASURES]) for label, _, path in pairs}
     title = "Cardea: error and speed at the ends of the episodes, with 2 % torque noise"
-    save_figure(reaching_curve(runs, title), Path(folder), name)
+    figure = task_curve(runs, Domain("cardea", WORDS, MEASURES), title)
+    save_figure(figure, Path(folder), name)
 
 
 if __name__ == "__main__":

@@ -11,12 +11,14 @@ from torch import Tensor
 from edtorch.app.domain import build_sim
 from edtorch.app.policy import build_actor, policy_card
 from edtorch.app.rundir import POLICY, load_config
-from edtorch.report.figures import Ride, episode_lengths, one_ride, save_figure
-from edtorch.report.reaching import PANELS, reaching_curve
+from edtorch.report.domain import Domain, domain_of
+from edtorch.report.figures import Trace, learning_curve, length, one_episode, save_figure
 from edtorch.report.runs import Run
+from edtorch.report.task_curve import task_curve
 from edtorch.run.checkpoint import load_policy, policy_dtype
 from edtorch.run.evaluation import evaluate
 from edtorch.run.scaled_sim import World
+from sims.cardea.cardea import MEASURES, WORDS
 from studies.cardea_figure import episodes_of
 from studies.rerun_methods import FIGURE_2, FIGURE_3, Material
 
@@ -31,13 +33,14 @@ def draw(material: Material, folder: Path) -> list[str]:
     for run in material.runs.get(FIGURE_2, []):
         drawn += _figure_2(run, folder)
     reaching = {
-        row.rpartition("/")[2]: episodes_of(run.path, [name for name, _ in PANELS])
+        row.rpartition("/")[2]: episodes_of(run.path, [m.name for m in MEASURES])
         for row in FIGURE_3
         for run in material.runs.get(row, [])
     }
     if reaching:
         title = "Error and speed at the ends of the episodes, actions perturbed"
-        save_figure(reaching_curve(reaching, title), folder, "figure_3")
+        domain = Domain("cardea", WORDS, MEASURES)
+        save_figure(task_curve(reaching, domain, title), folder, "figure_3")
         drawn.append("figure_3")
     return drawn
 
@@ -54,7 +57,8 @@ def _figure_2(run: Run, folder: Path) -> list[str]:
 
     episodes, size = episodes_of(run.path)
     title = f"Figure 2, upper: {size} learners"
-    upper = episode_lengths(episodes, size, title, shortest=_shortest(world))
+    heights = length(_shortest(world))
+    upper = learning_curve(episodes, size, domain_of(world.spec), heights, None, title)
     save_figure(upper, folder, "figure_2_upper")
 
     states: list[Tensor] = []
@@ -66,7 +70,7 @@ def _figure_2(run: Run, folder: Path) -> list[str]:
     quantity = spec.state[index]
     learned = run.summary["simulated_seconds"][0]
     text = f"seed {run.seeds[0]}, without exploration, {episode.outcome.name.lower()}"
-    ride = Ride(
+    trace = Trace(
         spec.dt * np.arange(1, len(shown) + 1),
         shown,
         quantity.name,
@@ -74,7 +78,7 @@ def _figure_2(run: Run, folder: Path) -> list[str]:
         text.replace("_", " "),
         quantity.period,
     )
-    lower = one_ride(ride, f"Figure 2, lower: an episode after {learned:,.0f} s of learning")
+    lower = one_episode(trace, f"Figure 2, lower: an episode after {learned:,.0f} s of learning")
     save_figure(lower, folder, "figure_2_lower")
     return ["figure_2_upper", "figure_2_lower"]
 

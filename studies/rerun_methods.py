@@ -10,10 +10,12 @@ from typing import Any
 from edtorch.report import samples
 from edtorch.report.comparison import Estimate, estimate
 from edtorch.report.document import median_cell
+from edtorch.report.domain import Domain
 from edtorch.report.groups import Group, places
-from edtorch.report.quantities import TITLES, TO_GOAL, TO_STABLE, Quantity, never_rode, sample
+from edtorch.report.quantities import Quantity, never_there, sample, to_milestone
 from edtorch.report.runs import Run
 from edtorch.report.tables import Table, as_markdown
+from sims.bicycle.bicycle import PATH_LENGTH, WORDS
 
 FIGURE_2 = "figure_2/bicycle_paper"
 FIGURE_3 = ("figure_3/cardea_paper", "figure_3/cardea")
@@ -40,6 +42,12 @@ class Material:
             if title == row or title.startswith(f"{row}/")
         }
 
+
+BICYCLE = Domain("bicycle", WORDS, (PATH_LENGTH,))
+TITLES = {"stable": "stable riding", "goal": "the goal"}
+TO_STABLE, TO_GOAL = (to_milestone(name, BICYCLE) for name in TITLES)
+"""What was paid before a policy first rode in all its fresh episodes, and first to the goal in all
+of them; and how long its path then was."""
 
 HOW = (
     "Median over the seeds with its 95 % bootstrap interval"
@@ -103,14 +111,14 @@ def _line(
     runs = list(material.runs[row])
     found = estimates(runs)
     size = sum(len(run.seeds) for run in runs)
-    some = next((found[q.name] for q in told if q.until_ride and q.name in found), None)
+    some = next((found[q.name] for q in told if q.until and q.name in found), None)
     cells = [str(size) if runs else "missing"]
     cells.append("" if some is None else f"{size - some.censored} of {size}")
     if runs and some is None:
         cells[1] = "no milestones in its summary"
     for quantity in told:
         own = found.get(quantity.name)
-        key = quantity.path[-1].removesuffix("_length_m")
+        key = quantity.path[-1].removesuffix("_length_m").replace("failures", "falls")
         cells += ["" if own is None else median_cell(own), str(theirs.get(key, ""))]
     return cells
 
@@ -120,7 +128,7 @@ LEARNING = (
     " is an episode to the goal or to the time limit."
 )
 LEARNT = {
-    "ride": (("falls_before_first_ride",), "falls before the first ride"),
+    "ride": (("failures_before_first_success",), "falls before the first ride"),
     "goal": (("first_goal", "episodes"), "episodes up to the first to the goal"),
     "seconds": (("first_goal", "seconds"), "that episode, s"),
 }
@@ -140,7 +148,7 @@ def learnt(material: Material, published: Mapping[str, Any]) -> dict[str, Any]:
         # Without a ride, what is told is all that was paid.
         own["ride"] = [
             None if never else falls
-            for falls, never in zip(own["ride"], never_rode(group), strict=True)
+            for falls, never in zip(own["ride"], never_there(group), strict=True)
         ]
         found[name] = {"published": theirs, **own}
     return found

@@ -18,13 +18,12 @@ from edtorch.app.rundir import git_commit, json_text, versions
 from edtorch.report import samples
 from edtorch.report.document import median_cell, proportion, ranges
 from edtorch.report.proportions import Proportion, holm, same_rate
-from edtorch.report.quantities import TO_STABLE
 from edtorch.report.runs import STATUS, Run, rates
 from edtorch.report.statistics import Spread
 from edtorch.report.tables import Table, as_markdown
 from edtorch.run.checkpoint import write_text
 from studies.footnote_2 import Falls, zero_policy_falls
-from studies.rerun_methods import FIGURE_2, Material, estimates, learnt, methods
+from studies.rerun_methods import FIGURE_2, TO_STABLE, Material, estimates, learnt, methods
 from studies.rerun_methods import blocks as blocks_of_methods
 
 PUBLISHED = Path(__file__).with_name("published.yaml")
@@ -97,7 +96,9 @@ def footnote_1(material: Material, published: Mapping[str, Any]) -> dict[str, An
         return None
     runs = {name: own[0] for name, own in found.items()}
     here = {name: _shares(run) for name, run in runs.items()}
-    distances = {name: run.summary["distance_m"] for name, run in runs.items()}
+    distances = {
+        name: run.summary["median_of_goal_policies"]["path_length_m"] for name, run in runs.items()
+    }
     result: dict[str, Any] = {
         "here": {
             name: {

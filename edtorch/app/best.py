@@ -6,24 +6,30 @@ for looks better than it is.
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from edtorch.report.statistics import Spread, goal_figures
+from edtorch.report.domain import Domain
+from edtorch.report.statistics import Spread, evaluation_figures
 from edtorch.run.episodes import Episode
 from edtorch.types import Parameters
 from sims.base import Outcome
 
-Score = tuple[float, float]
-"""Share of the episodes that failed, and mean of the sim's first measure; the less the better."""
+Score = tuple[float, float, float]
+"""Share of the episodes that succeeded, share that did not fail, mean return; the more the better.
+The second decides where success is not defined, or as long as there is none: a return of negative
+rewards would prefer an early failure."""
 
 
 def score(episodes: Sequence[Episode]) -> Score:
     """Of a policy, from at least one episode."""
-    failed = sum(e.outcome is Outcome.FAILED for e in episodes) / len(episodes)
-    return failed, statistics.fmean(next(iter(e.measures.values())) for e in episodes)
+    succeeded = sum(bool(e.success) for e in episodes) / len(episodes)
+    sound = sum(e.outcome is not Outcome.FAILED for e in episodes) / len(episodes)
+    returns = [e.total_reward for e in episodes if math.isfinite(e.total_reward)]
+    return succeeded, sound, statistics.fmean(returns) if returns else -math.inf
 
 
 @dataclass(frozen=True)
@@ -36,9 +42,10 @@ class Kept:
     minutes: list[float]
     episodes: list[list[Episode]]
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self, domain: Domain) -> dict[str, Any]:
         """For ``summary.json``."""
-        return {"minutes": Spread([*self.minutes]).as_json(), **goal_figures(self.episodes)}
+        figures = evaluation_figures(self.episodes, domain.measures, domain.words)
+        return {"minutes": Spread([*self.minutes]).as_json(), **figures}
 
 
 def better(
@@ -59,7 +66,7 @@ def better(
     if old is None:
         return new
     for row, before in enumerate(old.scores):
-        if before <= scores[row]:
+        if before >= scores[row]:
             for name, p in new.parameters.items():
                 p[row] = old.parameters[name][row]
             new.scores[row], new.minutes[row] = before, old.minutes[row]

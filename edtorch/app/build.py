@@ -106,11 +106,8 @@ def build(config: Settings) -> Setup:
 
 
 def _assemble(config: Settings, sim: Sim, budget: Budget, compute: Compute) -> Setup:
-    if config.eval.keep and not (sim.spec.goal and config.eval.episodes):
-        raise ConfigError(
-            f"eval.keep={config.eval.keep}: expected 0 without a goal in the domain and"
-            f" eval.episodes, here {sim.spec.name} and {config.eval.episodes}"
-        )
+    if config.eval.keep and not config.eval.episodes:
+        raise ConfigError(f"eval.keep={config.eval.keep}: expected 0 with eval.episodes=0")
     unwrap = config.observation.unwrap
     reward = build_reward(config.reward, sim, compute.dtype, compute.device)
     threshold = config.eval.success_return

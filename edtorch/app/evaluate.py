@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from rich.table import Table
 
 from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compose import CONF, launch, plainly
+from edtorch.app.domain import described, measured
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
 from edtorch.app.groups import Evaluate
 from edtorch.app.policies import frozen_world, stored_policies
@@ -21,58 +24,43 @@ from edtorch.app.rundir import POLICY, command_line, json_text, load_config, ver
 from edtorch.app.schema import checked_fields
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
-from edtorch.report.statistics import evaluation_figures, goal_figures
+from edtorch.report.domain import RETURN, Domain
+from edtorch.report.quantities import evaluation, told_of
+from edtorch.report.statistics import evaluation_figures
+from edtorch.report.text import number
 from edtorch.run.checkpoint import write_text
-from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate, evaluate_yardstick
 from edtorch.run.scaled_sim import World
 from sims.base import baselines_of
 
+HEADLINE = ("success_rate", RETURN, "episode_s")
+"""The first that is known is what a sweep over evaluations compares."""
 
-def _table(episodes: list[list[Episode]], seeds: list[int]) -> Table:
-    figures = evaluation_figures(episodes)
+
+def _table(
+    result: dict[str, Any], baselines: dict[str, Any], domain: Domain, seeds: list[int]
+) -> Table:
+    """A row per seed and per baseline, a column per figure."""
     table = Table(
         title="fresh episodes, no exploration", title_justify="left", box=SIMPLE, padding=(0, 1)
     )
-    columns = (
-        ("seed", None, 0),
-        ("goal rate", "goal_rate", 3),
-        ("fall rate", "fall_rate", 3),
-        ("goal time, s", "goal_time_s", 2),
-        ("over shortest", "goal_time_over_shortest", 4),
-        ("path, m", "path_length_m", 1),
-        ("episode, s", "episode_s", 2),
-    )
-    for label, _, _ in columns:
+    columns = told_of(domain, result, evaluation(domain))
+    for label in ("seed", *(quantity.brief for quantity in columns)):
         table.add_column(label, justify="right")
-    for row, seed in enumerate(seeds):
-        cells = [str(seed)]
-        for _, key, digits in columns[1:]:
-            value = figures[str(key)]["per_seed"][row]
-            cells.append("-" if value is None else f"{value:.{digits}f}")
-        table.add_row(*cells)
-    return table
 
+    def cells(figures: Callable[[str], float | None]) -> list[str]:
+        return [number(figures(q.path[0]), q.digits) for q in columns]
 
-def _goal_table(figures: dict[str, Any], baselines: dict[str, Any], seeds: list[int]) -> Table:
-    """Of a family of tasks: a row per seed and per baseline, a column per figure."""
-    table = Table(
-        title="fresh episodes, no exploration", title_justify="left", box=SIMPLE, padding=(0, 1)
-    )
-    for label in ("seed", *(name.replace("_", " ") for name in figures)):
-        table.add_column(label, justify="right")
     for row, seed in enumerate(seeds):
-        table.add_row(str(seed), *(_cell(spread["per_seed"][row]) for spread in figures.values()))
+        table.add_row(str(seed), *cells(lambda key, row=row: result[key]["per_seed"][row]))
     for name, own in baselines.items():
-        table.add_row(name.replace("_", " "), *(_cell(own[key]["median"]) for key in figures))
+        # One that never succeeds lacks what is known of successes alone.
+        found = cells(lambda key, own=own: own.get(key, {}).get("median"))
+        table.add_row(name.replace("_", " "), *found)
     return table
 
 
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"
-
-
-def _baselines(config: Settings, world: World, seeds: list[int]) -> dict[str, Any]:
+def _baselines(config: Settings, world: World, domain: Domain, seeds: list[int]) -> dict[str, Any]:
     """The figures of the sim's own controllers, by name, in the episodes of the first seed."""
     if not (config.baselines or config.yardsticks):
         return {}
@@ -82,10 +70,11 @@ def _baselines(config: Settings, world: World, seeds: list[int]) -> dict[str, An
         raise ConfigError(
             f"{key}=true: expected a domain with baselines; {world.spec.name} has none"
         )
-    return {
-        name: goal_figures(evaluate_yardstick(control, world, seeds[:1], config.episodes))
-        for name, control in controllers.items()
-    }
+    found: dict[str, Any] = {}
+    for name, control in controllers.items():
+        episodes = evaluate_yardstick(control, world, seeds[:1], config.episodes)
+        found[name] = evaluation_figures(episodes, domain.measures, domain.words)
+    return found
 
 
 def _task(composed: Any) -> float:
@@ -113,7 +102,6 @@ def _evaluate(config: Settings) -> float:
     seeds = stored.seeds
 
     began = time.monotonic()
-    baselines = _baselines(config, world, seeds)
     episodes = evaluate(
         stored.actor,
         stored.parameters,
@@ -122,15 +110,16 @@ def _evaluate(config: Settings) -> float:
         config.episodes,
         observer=stored.observer,
     )
-    reached = goal_figures(episodes) if world.spec.goal else {}
+    domain = described(world, measured(episodes))
+    baselines = _baselines(config, world, domain, seeds)
+    figures = evaluation_figures(episodes, domain.measures, domain.words)
     result = {
         "run": str(folder),
         "policy": str(path),
         "episodes": config.episodes,
         "domain": config.domain.plain(),
         "seeds": seeds,
-        **evaluation_figures(episodes),
-        **reached,
+        **figures,
         "baselines": baselines,
         "eval_s": time.monotonic() - began,
         "versions": versions(),
@@ -144,10 +133,10 @@ def _evaluate(config: Settings) -> float:
             f"run={folder}: expected a folder to write to ({error.strerror})"
         ) from error
     console = Console()
-    table = _goal_table(reached, baselines, seeds) if reached else _table(episodes, seeds)
-    console.print(table)
+    console.print(_table(figures, baselines, domain, seeds))
     console.print(f"written to {written}", soft_wrap=True)
-    return float(result["goal_rate"]["median"])
+    headline = next(figures[key]["median"] for key in HEADLINE if key in figures)
+    return math.nan if headline is None else float(headline)
 
 
 def main() -> None:

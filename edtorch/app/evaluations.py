@@ -11,9 +11,12 @@ from edtorch.app.best import Kept, better
 from edtorch.app.build import Setup
 from edtorch.app.settings import Settings
 from edtorch.app.trials import Paid, Trials
+from edtorch.report.domain import Domain
+from edtorch.report.legacy import MINUTES
 from edtorch.report.milestones import MILESTONES, checkpoints, milestones
-from edtorch.report.quantities import MINUTES
-from edtorch.report.statistics import Spread, goal_figures
+from edtorch.report.quantities import EVALUATION, evaluation, told_of
+from edtorch.report.statistics import Spread, evaluation_figures
+from edtorch.report.text import number
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.training import Training
@@ -27,9 +30,10 @@ class Evaluation:
     minutes: float
     episodes: list[list[Episode]]
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self, domain: Domain) -> dict[str, Any]:
         """For ``summary.json``."""
-        return {MINUTES: self.minutes, **goal_figures(self.episodes)}
+        figures = evaluation_figures(self.episodes, domain.measures, domain.words)
+        return {MINUTES: self.minutes, **figures}
 
 
 @dataclass(frozen=True)
@@ -44,27 +48,29 @@ class News:
 class Evaluations:
     """Evaluates when it is time; ``wall_s`` and ``cpu_s`` are what that has taken so far.
 
-    After each of ``eval.minutes`` the policies are tried for the milestones.  In a domain with a
-    goal, whose figures are told of every evaluation, and with ``eval.keep`` each policy runs all
-    its fresh episodes; elsewhere as ``Trials`` does, and only what has learned since its last trial
-    and has not been at every milestone yet.
+    After each of ``eval.minutes`` the policies are tried for the milestones.  In a family of tasks
+    (``Spec.goal``), and with ``eval.keep``, each policy runs all its fresh episodes and every
+    evaluation is reported; elsewhere as ``Trials`` does, and only what has learned since its last
+    trial and has not been at every milestone yet.
 
     done: the evaluations in full; kept: with ``eval.keep``, the best policies so far, judged by as
     many further episodes; trials: None without ``eval.minutes``.
     """
 
-    def __init__(self, setup: Setup, config: Settings) -> None:
+    def __init__(self, setup: Setup, config: Settings, domain: Domain) -> None:
         self._setup = setup
         self._episodes: int = config.eval.episodes
         self._judged: int = config.eval.keep
         minutes = config.eval.minutes if self._episodes else []
         self._due = sorted({max(1, round(60 * m / setup.world.dt)) for m in minutes})
         self._in_full = bool(setup.world.spec.goal) or self._judged > 0
+        self.domain = domain
         self.done: list[Evaluation] = []
         self.kept: Kept | None = None
         size = len(setup.seeds)
         self._parameters: Parameters = {}
-        self.trials = Trials(size, self._episodes, self._fresh) if self._due else None
+        measures = self.domain.measures
+        self.trials = Trials(size, self._episodes, self._fresh, measures) if self._due else None
         self._clock = -1
         self.wall_s = self.cpu_s = 0.0
         self._began = time.process_time()
@@ -83,12 +89,11 @@ class Evaluations:
             return None
         minutes = training.seconds / 60
         if self._in_full:
-            figures = self.run(training).as_json()
+            figures = self.run(training).as_json(self.domain)
             del figures[MINUTES]
             told = [
-                f"{name} {spread['median']:.3g}"
-                for name, spread in figures.items()
-                if spread["median"] is not None
+                f"{q.label.removeprefix(EVALUATION)} {number(figures[q.path[0]]['median'])}"
+                for q in told_of(self.domain, figures, evaluation(self.domain))
             ]
         else:
             figures, told = self._try(training)
@@ -141,7 +146,7 @@ class Evaluations:
             self._tried_at[row] = self._ticks[row]
         last = [own[-1] for own in self.trials.history]
         figures = {
-            "fall_rate": Spread([c.fall_rate for c in last]).as_json(),
+            "failure_rate": Spread([c.failure_rate for c in last]).as_json(),
             "goal_rate": Spread([c.goal_rate for c in last]).as_json(),
         }
         size = len(last)
@@ -180,18 +185,28 @@ class Evaluations:
         return Paid(
             seconds=self._ticks[row] * training.world.dt,
             episodes=int(here.episodes[row]),
-            falls=int(here.failures[row]),
+            failures=int(here.failures[row]),
             cpu_s=self._paid_cpu_s[row],
         )
 
-    def milestones(self) -> dict[str, Any]:
-        """For ``summary.json``: ``milestones`` and ``checkpoints``; nothing without any."""
+    def as_json(self) -> dict[str, Any]:
+        """For ``summary.json``: every evaluation where each is reported, the last one once more as
+        ``final``; that of the policies kept; milestones."""
+        figures: dict[str, Any] = {}
+        if self._in_full and self._episodes:
+            figures["evaluations"] = [each.as_json(self.domain) for each in self.done]
+            figures["final"] = figures["evaluations"][-1]
+        if self.kept is not None:
+            figures["kept"] = self.kept.as_json(self.domain)
+        return figures | self._milestones()
+
+    def _milestones(self) -> dict[str, Any]:
         if self.trials is None:
             return {}
         history = self.trials.history
         return {
-            "milestones": milestones(history, self._setup.seeds),
-            "checkpoints": checkpoints(history),
+            "milestones": milestones(history, self._setup.seeds, self.domain),
+            "checkpoints": checkpoints(history, self.domain),
         }
 
     def to_save(self, training: Training) -> Parameters:

@@ -12,9 +12,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import torch
 from rich.console import Console
 
 from edtorch.app.build import Setup
+from edtorch.app.domain import described
 from edtorch.app.errors import ConfigError
 from edtorch.app.evaluations import Evaluations, News
 from edtorch.app.settings import Settings
@@ -24,6 +26,7 @@ from edtorch.compiled.compilation import CannotCompile
 from edtorch.compiled.tiles import Tiles
 from edtorch.errors import CovarianceFloored
 from edtorch.learner.learner import Learner
+from edtorch.report.domain import Domain
 from edtorch.run.log import Sink, TensorBoardSink
 from edtorch.run.recorder import Recorder
 from edtorch.run.training import Training
@@ -65,11 +68,15 @@ class Job:
             setup.schedule,
             self.recorder,
         )
-        self.evaluations = Evaluations(setup, config)
+        self.evaluations = Evaluations(setup, config, self._domain())
         for note in getattr(setup.world.sim, "notes", ()):
             logger.info("%s", note)
         budget = setup.budget.in_words(setup.world.spec.words.successes)
         logger.info("%s; at most %s each; %s; %s", self.title, budget, setup.path, self._precision)
+
+    def _domain(self) -> Domain:
+        world, zero = self.training.worlds.world[:1], torch.zeros(1, dtype=torch.float64)
+        return described(self.setup.world, self.setup.world.sim.measures(world, world, zero))
 
     @property
     def title(self) -> str:

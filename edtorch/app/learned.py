@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edtorch.app.acting import Policy
+from edtorch.app.best import score
+from edtorch.app.domain import described, measured
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
 from edtorch.report.statistics import by_row
@@ -28,8 +30,6 @@ if TYPE_CHECKING:
 
 JUDGED = 20
 """Episodes by which ``Run.policy`` is chosen."""
-
-Score = tuple[float, float, float]
 
 
 class Run:
@@ -83,7 +83,7 @@ class Run:
         if len(self.seeds) == 1:
             return self.policies[0]
         judged = self._fresh(JUDGED, Purpose.JUDGING)
-        scores = [_score(own) for own in judged]
+        scores = [score(own) for own in judged]
         return self.policies[scores.index(max(scores))]
 
     def evaluate(self, episodes: int = 50) -> dict[str, list[float | None]]:
@@ -128,13 +128,16 @@ class Run:
         ]
 
     def plot(self) -> Figure:
-        """The learning curve: how long each episode of each seed lasted, and how it ended."""
-        from edtorch.report.figures import learning_curve
+        """The learning curve: the return of each episode of each seed, or how long it lasted where
+        that is what the domain measures, and how it ended."""
+        from edtorch.report.figures import height, learning_curve, shortest_time
 
         size = len(self.seeds)
-        name = self._world().spec.name
-        title = f"{name}: {size} learner{'s' if size > 1 else ''}"
-        return learning_curve(self._records, size, None, title)
+        world = self._world()
+        domain = described(world, measured([self._records]))
+        shown = height(domain, shortest_time(self._records, world.spec.shortest), self._records)
+        title = f"{domain.name}: {size} learner{'s' if size > 1 else ''}"
+        return learning_curve(self._records, size, domain, shown, None, title)
 
     def save(self, folder: str | Path) -> Path:
         """Write a complete run folder, for ``edtorch.load``, ``edtorch-eval`` and
@@ -183,18 +186,6 @@ def _known(success: bool | None) -> float:
 def _mean(values: Sequence[float]) -> float | None:
     finite = [v for v in values if math.isfinite(v)]
     return statistics.fmean(finite) if finite else None
-
-
-def _score(episodes: Sequence[Episode]) -> Score:
-    found = figures([episodes])
-    success, failure, total = (
-        found[name][0] for name in ("success_rate", "failure_rate", "return")
-    )
-    return (
-        -math.inf if success is None else success,
-        -math.inf if failure is None else -failure,
-        -math.inf if total is None else total,
-    )
 
 
 def read_records(path: Path, seeds: Sequence[int]) -> list[Episode]:

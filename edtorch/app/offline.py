@@ -16,6 +16,7 @@ from rich.console import Console
 from edtorch.app.build import Setup, build
 from edtorch.app.checks import at_least
 from edtorch.app.compose import as_yaml
+from edtorch.app.domain import described
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.evaluations import Evaluation
 from edtorch.app.inverse import has_inverse
@@ -25,17 +26,24 @@ from edtorch.app.rundir import (
     POLICY,
     SUMMARY,
     TRANSITIONS,
-    command_line,
     json_text,
-    versions,
 )
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
-from edtorch.app.summary import Timing, broken, flat_settings, medians, summary_table
+from edtorch.app.summary import (
+    Timing,
+    broken,
+    flat_settings,
+    medians,
+    result_figures,
+    summary_table,
+    timing_figures,
+)
 from edtorch.errors import CovarianceFloored
 from edtorch.learner.learner import Learner
+from edtorch.report.domain import Domain
 from edtorch.report.milestones import checkpoint, milestones
-from edtorch.report.statistics import FirstRide, Spread, evaluation_figures, first_ride_figures
+from edtorch.report.statistics import FirstSuccess, Spread, by_row
 from edtorch.run.checkpoint import save_policy, write_atomically, write_text
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
@@ -218,6 +226,7 @@ def _milestones(
     offline: Offline,
     fresh: Sequence[Sequence[Episode]],
     own: Sequence[Sequence[Episode]],
+    domain: Domain,
     cpu_s: float,
 ) -> dict[str, Any]:
     """One checkpoint, at the end: what is paid is the data; own: the episodes in each seed's."""
@@ -225,62 +234,52 @@ def _milestones(
         [
             checkpoint(
                 tried,
+                domain.measures,
                 seconds=seconds,
-                falls=sum(e.outcome is Outcome.FAILED for e in lived),
-                paid=len(lived),
+                failures=sum(e.outcome is Outcome.FAILED for e in lived),
+                episodes=len(lived),
                 cpu_s=cpu_s / len(fresh),
             )
         ]
         for tried, seconds, lived in zip(fresh, offline.experience, own, strict=True)
     ]
-    return milestones(history, offline.seeds)
+    return milestones(history, offline.seeds, domain)
 
 
-def _summary(job: OfflineSetup, evaluation: Evaluation, timing: Timing) -> dict[str, Any]:
+def _summary(
+    job: OfflineSetup, domain: Domain, evaluation: Evaluation, timing: Timing
+) -> dict[str, Any]:
     """The content of ``summary.json``: a learner's, all experience being that of the data."""
     offline, episodes = job.offline, evaluation.episodes
     seeds = offline.seeds
-    own = [[e for e in offline.episodes if e.row == row] for row in range(len(seeds))]
-    falls = [sum(e.outcome is Outcome.FAILED for e in each) for each in own]
+    own = by_row(offline.episodes, len(seeds))
+    failures = [sum(e.outcome is Outcome.FAILED for e in each) for each in own]
     first = [
-        FirstRide(any(e.is_ride for e in rides), paid, seconds, 0)
-        for rides, paid, seconds in zip(episodes, falls, offline.experience, strict=True)
+        FirstSuccess(any(e.success for e in fresh), paid, seconds, 0)
+        for fresh, paid, seconds in zip(episodes, failures, offline.experience, strict=True)
     ]
     figures: dict[str, list[int]] = {
         "episodes": [len(each) for each in own],
-        "falls": falls,
+        domain.words.failures: failures,
         "transitions_used": offline.used,
         "transitions_left_out": offline.unused,
         "steps": offline.steps.tolist(),
     }
     reached = {}
     if job.setup.world.spec.goal and any(episodes):
-        reached = {"evaluations": [evaluation.as_json()], "final": evaluation.as_json()}
+        told = evaluation.as_json(domain)
+        reached = {"evaluations": [told], "final": told}
     if all(episodes):
-        reached["milestones"] = _milestones(offline, episodes, own, timing.cpu_s)
+        reached["milestones"] = _milestones(offline, episodes, own, domain, timing.cpu_s)
     return {
-        "seeds": seeds,
-        **first_ride_figures(first, seeds),
-        **evaluation_figures(episodes),
+        **result_figures(domain, seeds, episodes, [], first),
         **reached,
         "offline": {
             **{name: Spread([*counts]).as_json() for name, counts in figures.items()},
             "masked": job.masked,
         },
         "simulated_seconds": offline.experience,
-        "ticks": timing.ticks,
-        "ticks_per_cpu_s": timing.ticks_per_cpu_s,
-        "wall_s": timing.wall_s,
-        "cpu_s": timing.cpu_s,
-        "startup_s": timing.startup_s,
-        "eval_s": timing.eval_s,
-        "figures_s": timing.figures_s,
-        "not_finite": {
-            str(seeds[row]): {"place": place, "tick": tick}
-            for row, (place, tick) in broken(offline).items()
-        },
-        "versions": versions(),
-        "command": command_line(),
+        **timing_figures(timing, offline),
     }
 
 
@@ -294,13 +293,14 @@ def run_offline(
     for line in job.masked:
         logger.warning("masked: %s", line)
     timing = Timing(startup_s=time.monotonic() - began)
-    sinks: list[Sink] = [CsvSink(folder)]
+    domain = described(setup.world)
+    sinks: list[Sink] = [CsvSink(folder, words=domain.words)]
     board = None
     if config.log.tensorboard:
-        board = TensorBoardSink(folder, as_yaml(config))
+        board = TensorBoardSink(folder, as_yaml(config), domain.words)
         sinks.append(board)
     if config.log.progress:
-        sinks.append(ConsoleSink(console))
+        sinks.append(ConsoleSink(console, words=domain.words))
     report = _Report(offline, sinks, stop, config.log.every)
     wall, cpu = time.monotonic(), time.process_time()
     try:
@@ -318,20 +318,20 @@ def run_offline(
         report.write(offline.episodes)
         _warn(offline)
         evaluation = _evaluated(job, config.eval.episodes, console, timing)
-        summary = _summary(job, evaluation, timing)
+        summary = _summary(job, domain, evaluation, timing)
         if board is not None:
             board.hparams(flat_settings(config), medians(summary))
     finally:
         for sink in sinks:
             sink.close()
     write_text(folder / SUMMARY, json_text(summary))
-    console.print(summary_table(summary, title))
+    console.print(summary_table(summary, domain, title))
     console.print(f"run folder: {folder}", soft_wrap=True)
     return summary
 
 
 def _evaluated(job: OfflineSetup, episodes: int, console: Console, timing: Timing) -> Evaluation:
-    """Fresh episodes of each policy: the first that any of them rides."""
+    """Fresh episodes of each policy."""
     setup, began = job.setup, time.monotonic()
     minutes = math.fsum(job.offline.experience) / len(setup.seeds) / 60
     found: list[list[Episode]] = [[] for _ in setup.seeds]

@@ -8,10 +8,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from edtorch.app.job import Job
-from edtorch.app.pictures import draw, draw_reaching
+from edtorch.app.pictures import draw, draw_tasks
 from edtorch.app.rundir import (
     CHECKPOINT,
     POLICY,
@@ -24,10 +22,10 @@ from edtorch.app.rundir import (
     versions,
 )
 from edtorch.app.summary import Timing, flat_settings, medians
+from edtorch.report.statistics import evaluation_figures
 from edtorch.run.checkpoint import save_policy, save_training, write_text
 from edtorch.run.episodes import Episode, Snapshot
 from edtorch.run.log import CsvSink, Sink, TensorBoardSink
-from edtorch.run.training import Training
 from edtorch.run.transitions_file import gathered, save_transitions
 
 
@@ -38,20 +36,13 @@ def _timed(timing: Timing, name: str) -> Iterator[None]:
     setattr(timing, name, time.monotonic() - began)
 
 
-def _measures(training: Training) -> list[str]:
-    """Names of what the sim measures at the end of an episode, where that tells of a goal."""
-    if not training.world.spec.goal:
-        return []
-    world, zero = training.worlds.world[:1], torch.zeros(1, dtype=torch.float64)
-    return list(training.world.sim.measures(world, world, zero))
-
-
 def open_sinks(job: Job, folder: Path) -> tuple[list[Sink], TensorBoardSink | None]:
     """What writes the progress of ``job`` to files of ``folder``, and TensorBoard's alone."""
-    sinks: list[Sink] = [CsvSink(folder, _measures(job.training))]
+    domain = job.evaluations.domain
+    sinks: list[Sink] = [CsvSink(folder, [m.name for m in domain.measures], domain.words)]
     board = None
     if job.config.log.tensorboard:
-        board = TensorBoardSink(folder, settings_text(job.config))
+        board = TensorBoardSink(folder, settings_text(job.config), domain.words)
         sinks.append(board)
     return sinks, board
 
@@ -73,18 +64,20 @@ def save_learned(job: Job, folder: Path, *, ended: bool) -> None:
 def save_results(job: Job, folder: Path, board: TensorBoardSink | None) -> dict[str, Any]:
     """After the evaluation: policies, figures and summary; returns the content of the latter."""
     save_policy(folder / POLICY, job.policies, job.setup.card)
-    training, log = job.training, job.config.log
+    training, log, domain = job.training, job.config.log, job.evaluations.domain
     with _timed(job.timing, "figures_s"):
         if log.figures:
             if training.world.spec.goal:
                 calm = job.setup.calm()
-                figure = draw_reaching(training, calm, folder, animate=log.animation)
+                figure = draw_tasks(training, domain, calm, folder, animate=log.animation)
             else:
-                figure = draw(training, folder, animate=log.animation)
+                figure = draw(training, domain, folder, animate=log.animation)
             if board is not None:
                 board.writer.add_figure("learning_curve", figure, round(training.seconds))
     summary = job.summary()
     if board is not None:
+        last = evaluation_figures(job.evaluations.done[-1].episodes, domain.measures, domain.words)
+        board.spreads("evaluation", last, round(training.seconds))
         board.hparams(flat_settings(job.config), medians(summary))
     write_text(folder / SUMMARY, json_text(summary))
     return summary

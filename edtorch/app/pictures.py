@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from edtorch.report.animation import save_animation
-from edtorch.report.figures import Ride, learning_curve, save_figure
-from edtorch.report.reaching import reaching_curve
+from edtorch.report.domain import Domain
+from edtorch.report.figures import Trace, height, learning_curve, save_figure, shortest_time
+from edtorch.report.task_curve import task_curve
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.scaled_sim import World
@@ -29,16 +30,16 @@ class _Shown:
     title: str
 
 
-def last_ride(training: Training) -> Episode | None:
-    """The ride that ended last; without any, the episode that ended last; of those watched."""
+def last_success(training: Training) -> Episode | None:
+    """The success that ended last; without any, the episode that ended last; of those watched."""
     watched = [e for e in training.episodes if e.row < training.trail.size]
-    rides = [e for e in watched if e.is_ride] or watched
-    return max(rides, key=lambda e: (e.start + e.seconds, -e.row)) if rides else None
+    some = [e for e in watched if e.success] or watched
+    return max(some, key=lambda e: (e.start + e.seconds, -e.row)) if some else None
 
 
 def _shown(training: Training) -> _Shown | None:
-    """The last ride or episode; the first learner's unfinished one where none has ended yet."""
-    episode = last_ride(training)
+    """The last success, or episode; the first learner's unfinished one where none has ended yet."""
+    episode = last_success(training)
     if episode is None:
         states = training.trail.states(0, 0, training.trail.position(0))
         title = f"seed {training.seeds[0]}, the first episode so far"
@@ -51,27 +52,29 @@ def _shown(training: Training) -> _Shown | None:
     return _Shown(states, seconds, title) if len(states) > 1 else None
 
 
-def _headline(training: Training, shown: _Shown) -> Ride:
+def _headline(training: Training, shown: _Shown) -> Trace:
     spec, sim = training.world.spec, training.world.sim
     index = [q.name for q in spec.state].index(spec.headline)
     values = sim.observe(shown.states)[:, index].numpy()
     step = training.trail.stride * spec.dt
     seconds = shown.seconds - step * np.arange(len(values))[::-1]
     quantity = spec.state[index]
-    return Ride(seconds, values, quantity.name, quantity.unit, shown.title, quantity.period)
+    return Trace(seconds, values, quantity.name, quantity.unit, shown.title, quantity.period)
 
 
-REACHES = 8
-"""Tasks that an animation of reaching shows, one after the other."""
+TASKS = 8
+"""So many an animation shows, one after the other."""
 
 
-def draw_reaching(training: Training, calm: World, folder: Path, *, animate: bool) -> Figure:
-    """For a domain with a goal: write ``learning_curve.png``, ``.svg`` as the paper's Figure 3 and,
-    if the sim can draw itself, ``reach.webp``: the first policy at fresh tasks, in ``calm``."""
+def draw_tasks(
+    training: Training, domain: Domain, calm: World, folder: Path, *, animate: bool
+) -> Figure:
+    """For a family of tasks: write ``learning_curve.png``, ``.svg`` as the paper's Figure 3 and,
+    if the sim can draw itself, an animation of the first policy at fresh tasks, in ``calm``."""
     size = len(training.seeds)
     name = training.world.spec.name
     title = f"{name}: {size} learner{'s' if size > 1 else ''}, at the end of every episode"
-    figure = reaching_curve({name: (training.episodes, size)}, title)
+    figure = task_curve({name: (training.episodes, size)}, domain, title)
     save_figure(figure, folder, "learning_curve")
     if animate and isinstance(calm.sim, Pictured):
         learner, states = training.learner, list[Tensor]()
@@ -81,26 +84,36 @@ def draw_reaching(training: Training, calm: World, folder: Path, *, animate: boo
             parameters,
             calm,
             training.seeds[:1],
-            REACHES,
+            TASKS,
             watch=states.append,
             observer=learner.observer,
         )
         stride = max(1, round(0.1 / calm.dt))
-        # [T, REACHES, k]: one task after the other.
+        # [T, TASKS, k]: one task after the other.
         trail = torch.stack(states)[::stride].transpose(0, 1).flatten(0, 1)
-        save_animation(calm.sim, trail, folder / "reach.webp", slow=len(trail), fps=10)
+        path = folder / _animation(domain)
+        save_animation(calm.sim, trail, path, slow=len(trail), fps=10)
     return figure
 
 
-def draw(training: Training, folder: Path, *, animate: bool) -> Figure:
-    """Write ``learning_curve.png``, ``.svg`` and, if the sim can draw itself, ``ride.webp``."""
+def _animation(domain: Domain) -> str:
+    """File of an animation: ``ride.webp``, ``reach.webp``."""
+    return f"{domain.words.success}.webp"
+
+
+def draw(training: Training, domain: Domain, folder: Path, *, animate: bool) -> Figure:
+    """Write ``learning_curve.png``, ``.svg`` and, if the sim can draw itself, an animation of the
+    last success."""
     shown = _shown(training)
-    ride = _headline(training, shown) if shown is not None else None
+    trace = _headline(training, shown) if shown is not None else None
     size = len(training.seeds)
     title = f"{training.world.spec.name}: {size} learner{'s' if size > 1 else ''}"
-    figure = learning_curve(training.episodes, size, ride, title)
+    episodes = training.episodes
+    shortest = shortest_time(episodes, training.world.spec.shortest)
+    what = height(domain, shortest, episodes)
+    figure = learning_curve(episodes, size, domain, what, trace, title)
     save_figure(figure, folder, "learning_curve")
     sim = training.world.sim
     if animate and shown is not None and isinstance(sim, Pictured):
-        save_animation(sim, shown.states, folder / "ride.webp")
+        save_animation(sim, shown.states, folder / _animation(domain))
     return figure

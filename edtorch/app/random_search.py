@@ -20,7 +20,7 @@ from torch import Tensor
 from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct, target_class
-from edtorch.app.domain import build_sim
+from edtorch.app.domain import build_sim, described
 from edtorch.app.errors import ConfigError
 from edtorch.app.policy import build_linear_policy, policy_card
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
@@ -30,6 +30,7 @@ from edtorch.compiled.compilation import CompileMode
 from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import milestones
 from edtorch.report.proportions import Proportion
+from edtorch.report.text import number
 from edtorch.rivals.random_search import (
     Progress,
     RandomSearch,
@@ -147,9 +148,10 @@ def _numbers(values: Tensor) -> list[float]:
 def summarise_search(setup: SearchSetup, result: SearchResult, wall_s: float) -> dict[str, Any]:
     """The content of ``summary.json``.
 
-    distance_m: median over the policies that always reach the goal of their mean path length, where
-    the sim measures one.  episodes, steps: of a search that tries one policy after the other and
-    drops each at its first failure; steps_done: as made here, with some that were not needed.
+    median_of_goal_policies: medians over the policies that always reach the goal of what the sim
+    measures, a mean over the runs of each.  episodes, steps: of a search that tries one policy
+    after the other and drops each at its first failure; steps_done: as made here, with some that
+    were not needed.
     milestones: what that search had paid when it had found its first policy that never fails, and
     its first that always reaches the goal, as of a rival with a search per seed; cpu_s there: the
     CPU seconds of this run per step that it made, times the steps until then.
@@ -163,6 +165,7 @@ def summarise_search(setup: SearchSetup, result: SearchResult, wall_s: float) ->
         for name, values in figures.items()
     }
     running_s = max(result.cpu_s - result.compile_s, 1e-9)
+    domain = described(setup.world, result.measures)
     history = result.history(setup.world.dt, running_s / result.steps_done)
     return {
         "seed": setup.seed,
@@ -173,8 +176,8 @@ def summarise_search(setup: SearchSetup, result: SearchResult, wall_s: float) ->
         "stable_not_to_the_goal": Proportion(stable, total).as_json(),
         "rejected": Proportion(total - goal - stable, total).as_json(),
         "median_of_goal_policies": medians,
-        "milestones": milestones([history], [setup.seed]),
-        "distance_m": medians.get("path_length_m"),
+        "domain": domain.as_json(),
+        "milestones": milestones([history], [setup.seed], domain),
         "episodes": result.episodes,
         "steps": result.steps,
         "simulated_seconds": seconds,
@@ -251,9 +254,11 @@ def run_search(
     _write_policies(setup, result, folder)
     write_text(folder / SUMMARY, json_text(summary))
     console.print(search_table(summary, title))
-    for name, value in summary["median_of_goal_policies"].items():
-        if value is not None:
-            console.print(f"{name}: {value:.2f} (median over the policies to the goal)")
+    for measure in setup.world.spec.measures:
+        value = summary["median_of_goal_policies"].get(measure.name)
+        if value is not None and measure.successes:
+            told = f"{measure.with_unit}: {number(value)}"
+            console.print(f"{told} (median over the policies to the goal)", highlight=False)
     console.print(
         f"{summary['wall_s']:.1f} s, {summary['steps_per_cpu_s'] / 1e6:.1f} M simulator steps per"
         f" CPU s, {summary['episodes']} episodes",

@@ -6,16 +6,20 @@ import argparse
 import json
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from edtorch.app.domain import build_sim
+from edtorch.app.errors import ConfigError
 from edtorch.app.rundir import command_line, git_commit, json_text, versions
 from edtorch.app.schema import defaults
+from edtorch.app.settings import Settings
 from edtorch.report import samples
 from edtorch.report.charts import WIDE
 from edtorch.report.comparison import Comparison, as_json, compare_all
 from edtorch.report.document import Document, document, overview
+from edtorch.report.domain import Domain, domain_of
 from edtorch.report.figures import save_figure
 from edtorch.report.groups import BaselineUnknown, sections
 from edtorch.report.html import html
@@ -30,6 +34,25 @@ KINDS = (".png", ".svg")
 
 class Refusal(Exception):
     """The one line for the user."""
+
+
+def known_domain(settings: Mapping[str, Any]) -> Domain | None:
+    """That of a run whose summary does not describe it, as its sim declares it today; only of the
+    sims that edtorch comes with, since a report runs no foreign code."""
+    if not str(settings["domain._target_"]).startswith("sims."):
+        return None
+    config: dict[str, Any] = {}
+    for key, value in settings.items():
+        if key.startswith("domain."):
+            *above, name = key.removeprefix("domain.").split(".")
+            node = config
+            for group in above:
+                node = node.setdefault(group, {})
+            node[name] = value
+    try:
+        return domain_of(build_sim(Settings(config)).spec)
+    except ConfigError:
+        return None
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -128,7 +151,7 @@ def _run(options: argparse.Namespace) -> None:
             state = "is a file" if folder.exists() else "does not exist"
             raise Refusal(f"{folder}: expected a folder with runs, but it {state}")
     _check_output(options.output)
-    runs, left_out = load_all(options.folders)
+    runs, left_out = load_all(options.folders, known_domain)
     for item in left_out:
         print(f"edtorch-report: left out {item.path}: {item.why}", file=sys.stderr)
     if not runs:

@@ -22,7 +22,7 @@ from edtorch.app.budget import build_budget
 from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct
-from edtorch.app.domain import build_sim, changed_domain
+from edtorch.app.domain import build_sim, changed_domain, described, measured
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.inverse import has_inverse
 from edtorch.app.limit import variant
@@ -31,11 +31,12 @@ from edtorch.app.reward import build_plain_reward
 from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
-from edtorch.app.summary import summary_table
+from edtorch.app.summary import result_figures, summary_table
 from edtorch.app.trials import Paid, Trials
 from edtorch.policy.policies import LinearPolicy
+from edtorch.report.domain import Domain
 from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoints, milestones
-from edtorch.report.statistics import Spread, evaluation_figures, first_ride_figures
+from edtorch.report.statistics import FirstSuccess, Spread, aliases
 from edtorch.rivals.base import Problem, Rival, Search, Storing
 from edtorch.rivals.ledger import FirstGoal
 from edtorch.rivals.runs import SLOTS, Runs, can_try, fresh_episodes
@@ -47,7 +48,6 @@ from edtorch.run.scaled_sim import World
 from sims.base import Spec
 
 SECONDS_BETWEEN_LINES = 10.0
-COLUMNS = ("simulated_seconds", "episodes", "falls", "rides", "cpu_s", "fall_rate", "goal_rate")
 
 
 @dataclass(frozen=True)
@@ -129,14 +129,22 @@ class _Report:
     """Checkpoints to ``metrics.csv``, TensorBoard and the console; it also looks for a stop."""
 
     def __init__(
-        self, setup: RivalSetup, config: Settings, folder: Path, stop: Stop, console: Console
+        self,
+        setup: RivalSetup,
+        domain: Domain,
+        config: Settings,
+        folder: Path,
+        stop: Stop,
+        console: Console,
     ) -> None:
         self._seeds = setup.seeds
+        self._words = words = domain.words
         self._stop = stop
         self._console = console
         self._file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
         self._rows = csv.writer(self._file)
-        self._rows.writerow(("seed", *COLUMNS))
+        paid = ("simulated_seconds", "episodes", words.failures, words.successes, "cpu_s")
+        self._rows.writerow(("seed", *paid, f"{words.failure}_rate", "goal_rate"))
         self._board = summary_writer(folder) if config.log.tensorboard else None
         self._shown = config.log.progress
         self._printed = -math.inf
@@ -149,23 +157,24 @@ class _Report:
     def write(self, search: Search, fresh: dict[int, Checkpoint], count: int) -> None:
         """The checkpoints of the seeds that went on, the ``count``-th."""
         for row, found in fresh.items():
-            rides = search.accounts[row].rides
-            cells = (found.seconds, found.episodes, found.falls, rides, found.cpu_s)
-            rates = (found.fall_rate, found.goal_rate)
+            successes = search.accounts[row].rides
+            cells = (found.seconds, found.episodes, found.failures, successes, found.cpu_s)
+            rates = (found.failure_rate, found.goal_rate)
             self._rows.writerow((self._seeds[row], *(f"{v:.9g}" for v in (*cells, *rates))))
         self._file.flush()
         seconds = median([c.seconds for c in fresh.values()])
-        falls = median([float(c.falls) for c in fresh.values()])
+        failures = median([float(c.failures) for c in fresh.values()])
+        named = self._words.failures
         stable = sum(c.stable for c in fresh.values())
         goal = sum(c.to_the_goal for c in fresh.values())
         if self._board is not None:
-            for name, value in (("seconds", seconds), ("falls", falls), ("stable", stable)):
+            for name, value in (("seconds", seconds), (named, failures), ("stable", stable)):
                 self._board.add_scalar(f"rival/{name}", value, count)
             self._board.add_scalar("rival/to_the_goal", goal, count)
         if self._shown and time.monotonic() - self._printed >= SECONDS_BETWEEN_LINES:
             self._printed = time.monotonic()
             self._console.print(
-                f"{seconds:8.0f} s  falls {falls:.0f}  stable {stable}/{len(fresh)}"
+                f"{seconds:8.0f} s  {named} {failures:.0f}  stable {stable}/{len(fresh)}"
                 f"  to the goal {goal}/{len(fresh)}",
                 soft_wrap=True,
                 highlight=False,
@@ -253,20 +262,33 @@ def _first_goal(search: Search, seeds: Sequence[int]) -> dict[str, Any]:
 
 
 def _summary(
-    setup: RivalSetup, search: Search, trials: Trials, cpu_s: Sequence[float], wall_s: float
+    setup: RivalSetup,
+    search: Search,
+    trials: Trials,
+    cpu_s: Sequence[float],
+    wall_s: float,
 ) -> dict[str, Any]:
     """The content of ``summary.json``: a learner's, with ``milestones`` and ``checkpoints``."""
+    fresh = trials.complete()
+    domain = described(setup.calm, measured(fresh))
     lived = [account.seconds for account in search.accounts]
+    first: list[FirstSuccess] = []
+    paid: dict[str, Any] = {}
+    if any(lived):
+        first = [account.first_success for account in search.accounts]
+        failures = Spread([a.falls for a in search.accounts]).as_json()
+        paid = {
+            "first_goal": _first_goal(search, setup.seeds),
+            "episodes": Spread([a.episodes for a in search.accounts]).as_json(),
+            "failures": failures,
+            **aliases({"failures": failures}, domain.words),
+        }
     return {
         "rival": setup.name,
-        "seeds": setup.seeds,
-        **first_ride_figures([a.first_ride for a in search.accounts], setup.seeds),
-        **evaluation_figures(trials.complete()),
-        "milestones": milestones(trials.history, setup.seeds),
-        "checkpoints": checkpoints(trials.history),
-        "first_goal": _first_goal(search, setup.seeds),
-        "episodes": Spread([a.episodes for a in search.accounts]).as_json(),
-        "falls": Spread([a.falls for a in search.accounts]).as_json(),
+        **result_figures(domain, setup.seeds, fresh, [], first),
+        "milestones": milestones(trials.history, setup.seeds, domain),
+        "checkpoints": checkpoints(trials.history, domain),
+        **paid,
         "simulated_seconds": lived,
         "ticks": round(math.fsum(lived) / setup.problem.world.dt),
         "wall_s": wall_s,
@@ -298,24 +320,27 @@ def run_rival(
     with under("rival"):
         search = setup.rival.begin(setup.problem)
     begun_s = time.process_time() - began_cpu
-    report = _Report(setup, config, folder, stop, console)
+    domain = described(setup.calm)
+    report = _Report(setup, domain, config, folder, stop, console)
     fresh = _Fresh(setup, search, report.pause)
-    trials = Trials(len(setup.seeds), setup.episodes, fresh)
+    trials = Trials(len(setup.seeds), setup.episodes, fresh, domain.measures)
     began = time.monotonic()
     try:
         cpu_s = _search(setup, search, trials, report, begun_s)
     finally:
         report.close()
-    summary = _summary(setup, search, trials, cpu_s, time.monotonic() - began - trials.wall_s)
+    wall_s = time.monotonic() - began - trials.wall_s
+    summary = _summary(setup, search, trials, cpu_s, wall_s)
     policies = search.stored() if isinstance(search, Storing) else search.parameters
     save_policy(folder / POLICY, policies, rival_card(setup, search, setup.problem.world.spec))
     write_text(folder / SUMMARY, json_text(summary))
-    console.print(summary_table(summary, title))
+    console.print(summary_table(summary, domain, title))
     for name, found in summary["milestones"].items():
         reached = len(setup.seeds) - len(found["never"])
         console.print(
             f"{name}: {reached} of {len(setup.seeds)} seeds; paid until then (median)"
-            f" {found['seconds']['median']:.1f} s, {found['falls']['median']:.0f} falls,"
+            f" {found['seconds']['median']:.1f} s, {found['failures']['median']:.0f}"
+            f" {domain.words.failures},"
             f" {found['cpu_s']['median']:.1f} CPU s",
             soft_wrap=True,
         )

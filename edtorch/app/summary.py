@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -13,7 +14,21 @@ from edtorch.app.evaluations import Evaluations
 from edtorch.app.rundir import command_line, versions
 from edtorch.app.settings import Settings
 from edtorch.learner.learner import Check
-from edtorch.report.statistics import evaluation_figures, learning_figures
+from edtorch.report.domain import Domain
+from edtorch.report.quantities import evaluation, learning, told_of
+from edtorch.report.quantities import training as training_quantities
+from edtorch.report.statistics import (
+    FirstSuccess,
+    aliases,
+    by_row,
+    evaluation_figures,
+    first_success,
+    first_success_figures,
+    generic_figures,
+    is_defined,
+)
+from edtorch.report.text import number
+from edtorch.run.episodes import Episode
 from edtorch.run.training import Training
 from edtorch.types import LearnerState
 
@@ -63,27 +78,30 @@ def broken(training: Learned) -> dict[int, tuple[str, int]]:
     return {row: (Check(places[row]).name.lower(), sound_ticks[row]) for row in rows}
 
 
-def summarise(training: Training, timing: Timing, evaluations: Evaluations) -> dict[str, Any]:
-    """The content of ``summary.json``, after at least one evaluation in full: that of the end."""
-    last, kept = evaluations.done[-1], evaluations.kept
-    has_goal = bool(training.world.spec.goal) and any(last.episodes)
-    reached = {}
-    if has_goal:
-        reached = {
-            "lost_episodes": sum(e.measures.get("lost", 0.0) > 0 for e in training.episodes),
-            "evaluations": [evaluation.as_json() for evaluation in evaluations.done],
-            "final": last.as_json(),
-        }
-    if kept is not None:
-        reached["kept"] = kept.as_json()
-    lived = (training.learners.tick.to(torch.float64) * training.world.dt).tolist()
+def result_figures(
+    domain: Domain,
+    seeds: Sequence[int],
+    fresh: Sequence[Sequence[Episode]],
+    lived: Sequence[Sequence[Episode]],
+    first: Sequence[FirstSuccess],
+) -> dict[str, Any]:
+    """What every ``summary.json`` holds of its seeds.
+
+    fresh: episodes of the evaluation; lived: those of the learning, where they were kept; first:
+    what the learning paid for its first success, empty for a method that does not learn.
+    """
+    figures: dict[str, Any] = {"seeds": list(seeds), "domain": domain.as_json()}
+    if first and is_defined([*fresh, *lived], domain.survival):
+        figures |= first_success_figures(first, seeds)
+        figures |= aliases(figures, domain.words)
+    if any(lived):
+        figures["training"] = generic_figures(lived)
+    return figures | evaluation_figures(fresh, domain.measures, domain.words)
+
+
+def timing_figures(timing: Timing, job: Learned) -> dict[str, Any]:
+    """How long it took, with what, and what went wrong."""
     return {
-        "seeds": training.seeds,
-        **learning_figures(training.episodes, training.seeds, lived),
-        **evaluation_figures(last.episodes),
-        **reached,
-        **evaluations.milestones(),
-        "simulated_seconds": lived,
         "ticks": timing.ticks,
         "ticks_per_cpu_s": timing.ticks_per_cpu_s,
         "wall_s": timing.wall_s,
@@ -92,42 +110,54 @@ def summarise(training: Training, timing: Timing, evaluations: Evaluations) -> d
         "eval_s": timing.eval_s,
         "figures_s": timing.figures_s,
         "not_finite": {
-            str(training.seeds[row]): {"place": place, "tick": tick}
-            for row, (place, tick) in broken(training).items()
+            str(job.seeds[row]): {"place": place, "tick": tick}
+            for row, (place, tick) in broken(job).items()
         },
         "versions": versions(),
         "command": command_line(),
     }
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+def summarise(training: Training, timing: Timing, evaluations: Evaluations) -> dict[str, Any]:
+    """The content of ``summary.json``, after at least one evaluation in full: that of the end."""
+    lived = (training.learners.tick.to(torch.float64) * training.world.dt).tolist()
+    own = by_row(training.episodes, len(training.seeds))
+    first = [first_success(each, seconds) for each, seconds in zip(own, lived, strict=True)]
+    lost = sum(training.lost_episodes)
+    last = evaluations.done[-1]
+    return {
+        **result_figures(evaluations.domain, training.seeds, last.episodes, own, first),
+        **({"lost_episodes": lost} if lost else {}),
+        **evaluations.as_json(),
+        "simulated_seconds": lived,
+        **timing_figures(timing, training),
+    }
 
 
-def summary_table(summary: dict[str, Any], title: str) -> Table:
+def summary_table(summary: Mapping[str, Any], domain: Domain, title: str) -> Table:
     """Median and extremes over the seeds, for the terminal."""
     table = Table(title=title, title_justify="left")
     table.add_column("over the seeds")
     for name in ("median", "min", "max"):
         table.add_column(name, justify="right")
-    rows = (
-        ("falls before the first ride", "falls_before_first_ride", 0),
-        ("seconds before the first ride", "seconds_before_first_ride", 1),
-        ("falls after the first ride", "falls_after_first_ride", 0),
-        ("evaluation: reached the goal", "goal_rate", 3),
-        ("evaluation: time to the goal, s", "goal_time_s", 1),
-        ("evaluation: over the shortest possible", "goal_time_over_shortest", 4),
-        ("evaluation: length of path, m", "path_length_m", 1),
-    )
-    for label, key, digits in rows:
-        spread = summary[key]
-        if spread["median"] is not None:
-            table.add_row(label, *(_number(spread[k], digits) for k in ("median", "min", "max")))
-    for key, spread in summary.get("final", {}).items():
-        if key != "minutes" and spread["median"] is not None:
-            label = f"evaluation: {key.replace('_', ' ')}"
-            table.add_row(label, *(_number(spread[k], 4) for k in ("median", "min", "max")))
+    every = (*evaluation(domain), *learning(domain.words), *training_quantities(domain))
+    for quantity in told_of(domain, summary, every):
+        spread: Any = summary
+        for key in quantity.path:
+            spread = spread[key]
+        cells = (number(spread[name], quantity.digits) for name in ("median", "min", "max"))
+        table.add_row(quantity.label, *cells)
     return table
+
+
+def never_succeeded(summary: Mapping[str, Any], domain: Domain, most: int = 20) -> str | None:
+    """The line that names the seeds without a success; None without any."""
+    seeds = summary.get("never_succeeded")
+    if not seeds:
+        return None
+    listed = ", ".join(map(str, seeds[:most]))
+    more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
+    return f"never {domain.words.succeeded}: seeds {listed}{more}"
 
 
 def medians(summary: dict[str, Any]) -> dict[str, float]:

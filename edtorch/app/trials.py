@@ -1,6 +1,6 @@
 """Policies tried on the way, in fresh episodes that count as no experience of theirs.
 
-What both a learner's run and a rival's need to tell what was paid before the first ride.
+What both a learner's run and a rival's need to report what was paid before a milestone.
 """
 
 from __future__ import annotations
@@ -11,10 +11,12 @@ from dataclasses import dataclass
 
 from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoint
 from edtorch.run.episodes import Episode
+from sims.base import Measure, Outcome
 
 SCREENING = 2
-"""Fresh episodes that a policy, unless it rode at its last trial, must end without a fall before it
-is tried in all of them: one that falls in one of these is not stable, and most on the way fall."""
+"""Fresh episodes that a policy, unless it was stable at its last trial, must end without a failure
+before it is tried in all of them: one that fails in one of these is not stable, and most on the way
+fail."""
 
 Fresh = Callable[[Sequence[int], int], Sequence[list[Episode]]]
 """From rows of a population to the first so many fresh episodes of each one's policy of now; the
@@ -27,23 +29,26 @@ class Paid:
 
     seconds: float
     episodes: int
-    falls: int
+    failures: int
     cpu_s: float
 
 
-def _upright(episodes: Sequence[Episode]) -> bool:
-    return all(e.is_ride for e in episodes)
+def _stable(episodes: Sequence[Episode]) -> bool:
+    return not any(e.outcome is Outcome.FAILED for e in episodes)
 
 
 class Trials:
     """Fresh episodes of the policies of now, and what has come of those before.
 
     episodes: of each trial; history: the checkpoints of each row, in order; last: the episodes of
-    its last one, only ``SCREENING`` of them where one was a fall; wall_s: taken by all of it.
+    its last one, only ``SCREENING`` of them where one failed; wall_s: taken by all of it.
     """
 
-    def __init__(self, rows: int, episodes: int, fresh: Fresh) -> None:
+    def __init__(
+        self, rows: int, episodes: int, fresh: Fresh, measures: Sequence[Measure] = ()
+    ) -> None:
         self._most = episodes
+        self._measures = measures
         self._fresh = fresh
         self.history: list[list[Checkpoint]] = [[] for _ in range(rows)]
         self.last: list[list[Episode]] = [[] for _ in range(rows)]
@@ -57,12 +62,13 @@ class Trials:
     def run(self, rows: Sequence[int], paid: Callable[[int], Paid]) -> dict[int, Checkpoint]:
         """Try those of ``rows``; paid: by each until now."""
         began = time.monotonic()
-        # Who rode the last time will ride again, and one ride takes as long as many side by side.
-        rode = {row for row in rows if self.history[row] and self.history[row][-1].stable}
-        self._episodes([row for row in rows if row not in rode], min(SCREENING, self._most))
+        # One that was stable the last time most likely still is, and one full-length episode takes
+        # as long as many side by side.
+        stable = {row for row in rows if self.history[row] and self.history[row][-1].stable}
+        self._episodes([row for row in rows if row not in stable], min(SCREENING, self._most))
         if self._most > SCREENING:
-            rode |= {row for row in rows if row not in rode and _upright(self.last[row])}
-        self._episodes([row for row in rows if row in rode], self._most)
+            stable |= {row for row in rows if row not in stable and _stable(self.last[row])}
+        self._episodes([row for row in rows if row in stable], self._most)
         fresh = {row: self.record(row, self.last[row], paid(row)) for row in rows}
         self.wall_s += time.monotonic() - began
         return fresh
@@ -71,9 +77,10 @@ class Trials:
         """A checkpoint of fresh episodes that somebody else has run."""
         found = checkpoint(
             episodes,
+            self._measures,
             seconds=paid.seconds,
-            falls=paid.falls,
-            paid=paid.episodes,
+            failures=paid.failures,
+            episodes=paid.episodes,
             cpu_s=paid.cpu_s,
         )
         self.last[row] = episodes

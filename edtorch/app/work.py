@@ -23,7 +23,8 @@ from edtorch.app.rivals import build_rival, run_rival
 from edtorch.app.rundir import RunFolder
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Interrupted, Stop
-from edtorch.app.summary import summary_table
+from edtorch.app.summary import never_succeeded, summary_table
+from edtorch.report.domain import RETURN
 from edtorch.run.log import ConsoleSink, StderrHandler
 
 logger = logging.getLogger("edtorch")
@@ -35,7 +36,7 @@ def _train(job: Job, folder: Path, began: float) -> dict[str, Any]:
     timing.startup_s = time.monotonic() - began
     sinks, board = open_sinks(job, folder)
     if job.config.log.progress:
-        sinks.append(ConsoleSink(console))
+        sinks.append(ConsoleSink(console, words=job.evaluations.domain.words))
     try:
         job.learn(sinks, lambda job, ended: save_learned(job, folder, ended=ended))
         job.evaluate()
@@ -43,9 +44,10 @@ def _train(job: Job, folder: Path, began: float) -> dict[str, Any]:
     finally:
         for sink in sinks:
             sink.close()
-    console.print(summary_table(summary, job.title))
-    if summary["never_rode"]:
-        console.print(_never_rode(summary["never_rode"]), soft_wrap=True)
+    domain = job.evaluations.domain
+    console.print(summary_table(summary, domain, job.title))
+    if (never := never_succeeded(summary, domain)) is not None:
+        console.print(never, soft_wrap=True)
     console.print(
         f"learning {timing.wall_s:.1f} s ({timing.ticks_per_cpu_s:.0f} learner ticks per CPU s),"
         f" evaluation {timing.eval_s:.1f} s, pictures {timing.figures_s:.1f} s",
@@ -53,12 +55,6 @@ def _train(job: Job, folder: Path, began: float) -> dict[str, Any]:
     )
     console.print(f"run folder: {folder}", soft_wrap=True)
     return summary
-
-
-def _never_rode(seeds: list[int], most: int = 20) -> str:
-    listed = ", ".join(map(str, seeds[:most]))
-    more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
-    return f"never rode: seeds {listed}{more}"
 
 
 @contextlib.contextmanager
@@ -103,11 +99,13 @@ def _work(
 
 
 def headline(summary: dict[str, Any]) -> float:
-    """What a sweeper minimises: simulated seconds before the first ride, or for a rival those that
-    a policy costs that always reaches the goal."""
-    if "seconds_before_first_ride" in summary:
-        return float(summary["seconds_before_first_ride"]["median"])
-    cost = summary["simulated_seconds_per_goal_policy"]
+    """What a sweeper minimises: simulated seconds before the first success; where there is no such
+    figure, minus the return; for a search those that a policy costs that always succeeds."""
+    if "seconds_before_first_success" in summary:
+        return float(summary["seconds_before_first_success"]["median"])
+    if (returns := summary.get(RETURN, {}).get("median")) is not None:
+        return -float(returns)
+    cost = summary.get("simulated_seconds_per_goal_policy")
     return math.inf if cost is None else float(cost)
 
 

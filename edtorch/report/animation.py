@@ -15,7 +15,7 @@ from sims.base import Pictured
 def frame_times(states: int, slow: int, quick: int) -> list[int]:
     """Which states to show: the first ``slow`` one by one, then ``quick`` more evenly to the end.
 
-    The beginning, where a rider turns, is what one wants to see; the rest is a straight road.
+    The beginning matters most: that is where most of the control happens.
     """
     if states <= slow + quick:
         return list(range(states))

@@ -13,12 +13,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from edtorch.report import samples
-from edtorch.report.comparison import ZERO_FALLS, Comparison, Estimate, Row
-from edtorch.report.quantities import FALLS, FINAL, MINUTES, SECONDS, TO_GOAL, TO_STABLE, Quantity
-from edtorch.report.reaching import COLOURS
+from edtorch.report.comparison import ZERO_FAILURES, Comparison, Estimate, Row
+from edtorch.report.legacy import MINUTES
+from edtorch.report.quantities import EVALUATION, Quantity, evaluation, learning, to_milestones
 from edtorch.report.samples import Array, Sample
+from edtorch.report.task_curve import COLOURS
 
 INK = "#222222"
 """Of everything but the data; a page may replace it."""
@@ -51,14 +53,15 @@ def charts(comparison: Comparison) -> list[Chart]:
     if columns:
         title = f"{section}: estimates with 95 % intervals"
         found.append(Chart(f"{prefix}_intervals", title, lambda w: _forest(comparison, columns, w)))
-    milestones = _estimated(comparison, (*TO_STABLE, *TO_GOAL))
+    milestones = _estimated(comparison, to_milestones(comparison.section.about))
     if milestones:
-        title = f"{section}: paid to stable riding and to the goal, with 95 % intervals"
+        title = f"{section}: paid to a stable policy and to the goal, with 95 % intervals"
         found.append(
             Chart(f"{prefix}_milestones", title, lambda w: _forest(comparison, milestones, w))
         )
-    if not comparison.section.searches:
-        title = f"{section}: share of the seeds that had ridden"
+    if _costs(comparison):
+        words = comparison.section.about.words
+        title = f"{section}: share of the seeds that had {words.succeeded}"
         found.append(Chart(f"{prefix}_seeds", title, lambda w: _distributions(comparison, w)))
     curves = _curves(comparison)
     if curves:
@@ -130,7 +133,7 @@ def _estimated(comparison: Comparison, chosen: Sequence[Quantity]) -> list[_Colu
     """Of those that this comparison has."""
     return [
         _Column(
-            quantity.label.removeprefix("evaluation: "),
+            quantity.label.removeprefix(EVALUATION),
             {
                 row.group.label: _point(row.estimates[quantity.name])
                 for row in comparison.rows
@@ -143,22 +146,27 @@ def _estimated(comparison: Comparison, chosen: Sequence[Quantity]) -> list[_Colu
 
 
 def _columns(comparison: Comparison) -> list[_Column]:
-    rows = comparison.rows
-    finals = [q for q in comparison.quantities if q.path[0] == FINAL]
-    columns = _estimated(comparison, (FALLS, SECONDS, *finals[:1]))
-    if comparison.section.searches:
-        shares = dict.fromkeys(name for row in rows for name in row.shares)
-    else:
-        shares = [ZERO_FALLS]
-    for name in shares:
+    rows, about = comparison.rows, comparison.section.about
+    told = [q for q in evaluation(about) if not q.detail]
+    columns = _estimated(comparison, (*told, *_costs(comparison)))
+    known = dict.fromkeys(name for row in rows for name in row.shares)
+    for name in known if comparison.section.searches else known.keys() & {ZERO_FAILURES}:
         points: dict[str, _Point] = {}
         for row in rows:
             if name in row.shares:
                 share = row.shares[name].proportion
                 points[row.group.label] = _Point(share.rate, *share.wilson())
-        label = "seeds without a fall before the first ride" if name == ZERO_FALLS else name
+        words = about.words
+        without = f"seeds without a {words.failure} before the first {words.success}"
+        label = without if name == ZERO_FAILURES else name
         columns.append(_Column(label.replace("_", " "), points, share=True))
     return columns
+
+
+def _costs(comparison: Comparison) -> list[Quantity]:
+    """Failures and seconds before the first success, where they are known."""
+    before = learning(comparison.section.about.words)[:2]
+    return [q for q in before if q in comparison.quantities]
 
 
 def _forest(comparison: Comparison, columns: Sequence[_Column], width: float) -> Figure:
@@ -200,6 +208,7 @@ def stretch(axes: Axes, values: Sequence[float]) -> None:
         apart = max(1, math.ceil((last - first) / DECADES))
         axes.set_xticks([0, *10.0 ** np.arange(first, last + 1, apart)])
     axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _forest_panel(axes: Axes, column: _Column, labels: Sequence[str]) -> None:
@@ -250,7 +259,7 @@ def _distributions(comparison: Comparison, width: float) -> Figure:
     first, *others = comparison.rows
     # More lines than colours cannot be told apart: they get panels of their own.
     parts = [others[k : k + len(HUES)] for k in range(0, len(others), len(HUES))] or [[]]
-    told = [q for q in (FALLS, SECONDS) if q in comparison.quantities]
+    told = _costs(comparison)
     narrow = width <= NARROW
     with _canvas(width):
         columns = 1 if narrow else len(told)
@@ -315,31 +324,31 @@ def _curves(comparison: Comparison) -> dict[str, dict[str, _Curve]]:
     for row in comparison.rows:
         times: dict[str, dict[float, list[float]]] = {}
         for run in row.group.runs:
-            for evaluation in run.summary.get("evaluations", []):
-                for key in evaluation.keys() - {MINUTES}:
-                    known = [v for v in evaluation[key]["per_seed"] if v is not None]
-                    times.setdefault(key, {}).setdefault(evaluation[MINUTES], []).extend(known)
+            for there in run.summary.get("evaluations", []):
+                for key in there.keys() - {MINUTES}:
+                    known = [v for v in there[key].get("per_seed", ()) if v is not None]
+                    times.setdefault(key, {}).setdefault(there[MINUTES], []).extend(known)
         for key, values in times.items():
             filled = {minute: own for minute, own in sorted(values.items()) if own}
             if len(filled) > 1:
                 quartiles = [np.quantile(own, (0.25, 0.5, 0.75)) for own in filled.values()]
                 curve = _Curve(np.array(list(filled)), np.array(quartiles).T)
                 found.setdefault(key, {})[row.group.label] = curve
-    order = [q.path[1] for q in comparison.quantities if q.path[0] == FINAL]
-    return {key: found[key] for key in order if key in found}
+    told = [q for q in evaluation(comparison.section.about) if not q.detail]
+    return {q.brief: found[q.path[0]] for q in told if q.path[0] in found}
 
 
 def _progress(curves: Mapping[str, Mapping[str, _Curve]], width: float) -> Figure:
     labels = list(dict.fromkeys(label for own in curves.values() for label in own))
     with _canvas(width):
         figure, panels = _grid(width, len(curves), 2.3)
-        for axes, (key, own) in zip(panels, curves.items(), strict=True):
+        for axes, (title, own) in zip(panels, curves.items(), strict=True):
             for label, curve in own.items():
                 colour = (INK, *HUES)[labels.index(label) % (len(HUES) + 1)]
                 low, middle, high = curve.quartiles
                 axes.fill_between(curve.minutes, low, high, color=colour, alpha=0.2, linewidth=0)
                 axes.plot(curve.minutes, middle, color=colour, linewidth=1.4, label=label)
-            axes.set_title(key.replace("_", " "))
+            axes.set_title(textwrap.fill(title, 34))
             axes.set_xlabel("simulated training time, min")
             axes.set_xlim(left=0)
             axes.grid(alpha=0.25)

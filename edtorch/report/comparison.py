@@ -10,11 +10,11 @@ from typing import Any
 from edtorch.report import samples
 from edtorch.report.groups import Group, Section
 from edtorch.report.proportions import Proportion, same_rate
-from edtorch.report.quantities import Quantity, quantities, rode, sample, zero_falls
+from edtorch.report.quantities import Quantity, quantities, sample, succeeded, zero_failures
 from edtorch.report.runs import rates
 from edtorch.report.samples import Interval, Sample
 
-ZERO_FALLS, RODE = "zero_fall_rate", "rode"
+ZERO_FAILURES, SUCCEEDED = "zero_failure_rate", "succeeded"
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,8 @@ def _compare_learners(section: Section) -> Comparison:
                 other = None if base is None else base.estimates.get(quantity.name)
                 against = None if other is None else other.sample
                 estimates[quantity.name] = estimate(quantity, own, against)
-        shares = _shares({ZERO_FALLS: zero_falls(group), RODE: rode(group)}, base)
+        found = {ZERO_FAILURES: zero_failures(group), SUCCEEDED: succeeded(group)}
+        shares = _shares({name: share for name, share in found.items() if share}, base)
         rows.append(Row(group, estimates, shares))
     return Comparison(section, tuple(told), tuple(rows))
 
@@ -214,6 +215,7 @@ def _row_json(row: Row) -> dict[str, Any]:
         "name": row.group.name,
         "settings": dict(row.group.differing),
         "seeds": row.group.seeds,
+        "learns": row.group.learns,
         "cpu_s": row.cpu_s,
         "shares": {name: share.as_json() for name, share in row.shares.items()},
         "quantities": {name: found.as_json() for name, found in row.estimates.items()},

@@ -8,44 +8,49 @@ from dataclasses import dataclass
 
 from edtorch.report import samples
 from edtorch.report.charts import Chart, charts
-from edtorch.report.comparison import RODE, ZERO_FALLS, Comparison, Estimate, Row, Share
+from edtorch.report.comparison import (
+    SUCCEEDED,
+    ZERO_FAILURES,
+    Comparison,
+    Estimate,
+    Row,
+    Share,
+)
 from edtorch.report.groups import shown
 from edtorch.report.proportions import Proportion
 from edtorch.report.quantities import (
-    FALLS,
-    FALLS_AFTER,
-    FINAL,
-    SECONDS,
+    EVALUATION,
     TITLES,
-    TO_GOAL,
-    TO_STABLE,
     Quantity,
+    evaluation,
+    learning,
+    to_milestones,
 )
 from edtorch.report.runs import LeftOut
 from edtorch.report.samples import Interval
 from edtorch.report.tables import Table
-
-NONE = "-"
-NEVER = "never"
-"""For what is beyond every budget."""
+from edtorch.report.text import NEVER, NONE, number
 
 HOW_TO_READ = (
     "The seed is the unit: every figure is one number per learner, whatever it did in between.",
     "Brackets are 95 % intervals: of shares Wilson's, of everything else percentile bootstraps over"
     f" the seeds ({samples.RESAMPLES:,} resamples, stratified by group, the same at every call).",
     "IQM is the interquartile mean: the mean of the middle half of the seeds.",
-    "A learner that never rode within its budget is censored: its falls and seconds before the"
-    " first ride are only known to be more than it has paid, and it counts as worse than every"
-    f" learner that rode ({NEVER!r} where that decides a bound). Where more than a quarter of the"
-    " seeds is censored only the Kaplan-Meier median is told, marked KM; where that is not reached,"
-    " > names the median of what has been paid.",
+    "A learner without a success within its budget is censored: its failures and seconds before the"
+    " first success are only known to be more than it has paid, and it counts as worse than every"
+    f" learner with one ({NEVER!r} where that decides a bound). Where more than a quarter of the"
+    " seeds is censored only the Kaplan-Meier median is given, marked KM; where it is not reached,"
+    " > gives the median of what has been paid.",
+    "A return sums the rewards of an episode: the environment's own, or where it has none the"
+    " configured reward, which shapes the learning (shaping reward, summed over time).",
 )
 
 
 OVERVIEW_NOTE = (
-    "Falls and seconds before and falls after the first ride, no fall before it, evaluation, CPU"
-    " seconds of learning; IQM over the seeds with its 95 % interval."
+    "Evaluation in fresh episodes first, then what the learning cost; IQM over the seeds with its"
+    " 95 % interval."
 )
+NOTHING_LEARNED = "does not learn"
 
 
 @dataclass(frozen=True)
@@ -92,17 +97,7 @@ def _section(comparison: Comparison) -> Part:
     )
 
 
-def number(value: float, digits: int) -> str:
-    """Without needless zeros; what is tiny keeps two figures."""
-    if math.isinf(value):
-        return NEVER
-    if value and abs(value) < 10**-digits:
-        return f"{value:.2g}"
-    text = f"{value:,.{digits}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
-
-
-def _bracket(interval: Interval, digits: int) -> str:
+def _bracket(interval: Interval, digits: int | None) -> str:
     return f"[{number(interval.low, digits)}, {number(interval.high, digits)}]"
 
 
@@ -131,7 +126,7 @@ def cell(estimate: Estimate) -> str:
         return f"KM {_median(estimate)}{lost}"
     digits = quantity.digits
     # The middle half does not tell of the one learner that went wrong.
-    worst = "" if quantity.until_ride else f", worst {number(estimate.worst, digits)}"
+    worst = "" if quantity.until else f", worst {number(estimate.worst, digits)}"
     return (
         f"{number(estimate.middle.value, digits)} {_bracket(estimate.middle, digits)}{worst}{lost}"
     )
@@ -161,30 +156,35 @@ def overview(comparison: Comparison) -> Table:
     title = f"{comparison.section.title}, overview"
     if comparison.section.searches:
         return _search_overview(comparison, title)
-    goal = [
-        q for q in comparison.quantities if q.path[0] in ("goal_rate", "fall_rate", "goal_time_s")
-    ]
-    final = [q for q in comparison.quantities if q.path[0] == FINAL]
-    chosen = [*goal, *(q for q in final if _is_headline(q))]
-    header = ("group", "seeds", "rode", FALLS.brief, "no fall before", SECONDS.brief)
-    header += (FALLS_AFTER.brief, *(q.brief for q in chosen), "CPU s per seed")
+    evaluated = [q for q in comparison.quantities if _is_headline(q)]
+    paid = [q for q in learning(comparison.section.about.words) if q in comparison.quantities]
+    words = comparison.section.about.words
+    header = ("group", "seeds", *(q.brief for q in evaluated))
+    if paid:
+        header += (words.succeeded, f"no {words.failure} before", *(q.brief for q in paid))
+    header += ("CPU s per seed",)
     rows: list[tuple[str, ...]] = []
     for row in comparison.rows:
-        size, cpu = len(row.group.seeds), row.cpu_s
-        rows.append(
-            (
-                row.group.label,
-                str(size),
-                str(row.shares[RODE].proportion.count),
-                _cell(row, FALLS),
-                proportion(row.shares[ZERO_FALLS].proportion),
-                _cell(row, SECONDS),
-                _cell(row, FALLS_AFTER),
-                *(_cell(row, quantity) for quantity in chosen),
-                NONE if cpu is None else number(cpu / _trained(row), 2),
-            )
-        )
+        cells = [row.group.label, str(len(row.group.seeds))]
+        cells += [_cell(row, quantity) for quantity in evaluated]
+        if paid:
+            cells += [_succeeded(row), _zero_failures(row), *(_cell(row, q) for q in paid)]
+        cpu = row.cpu_s
+        cells.append(NONE if cpu is None else number(cpu / _trained(row), 2))
+        rows.append(tuple(cells))
     return Table(title, header, tuple(rows), OVERVIEW_NOTE)
+
+
+def _succeeded(row: Row) -> str:
+    if not row.group.learns:
+        return NOTHING_LEARNED
+    share = row.shares.get(SUCCEEDED)
+    return NONE if share is None else str(share.proportion.count)
+
+
+def _zero_failures(row: Row) -> str:
+    share = row.shares.get(ZERO_FAILURES)
+    return NONE if share is None else proportion(share.proportion)
 
 
 def _trained(row: Row) -> int:
@@ -193,20 +193,21 @@ def _trained(row: Row) -> int:
 
 
 def _is_headline(quantity: Quantity) -> bool:
-    return quantity.path[-1] in ("joint_error_rad", "crash_rate", "success_rate")
+    """Whether it stands in the overview: rates, return and the sim's first measures."""
+    return quantity.label.startswith(EVALUATION) and not quantity.detail
 
 
 MILESTONES_NOTE = (
     "Policies are tried at checkpoints, in fresh episodes that cost no experience. What a seed had"
-    " paid at its first checkpoint where none of them was a fall (stable riding), and where all of"
+    " paid at its first checkpoint where none of them failed (a stable policy), and where all of"
     " them ended at the goal; the moment itself lies between it and the checkpoint before. IQM over"
     " the seeds with its 95 % interval; censored: seeds that were never there."
 )
 
 
 def milestones(comparison: Comparison) -> list[Table]:
-    """What was paid until policies rode, and until they rode to the goal; nothing without any."""
-    told = [q for q in (*TO_STABLE, *TO_GOAL) if q in comparison.quantities]
+    """What was paid until policies were stable, and until they were at the goal."""
+    told = [q for q in to_milestones(comparison.section.about) if q in comparison.quantities]
     if not told:
         return []
     header = ("group", "seeds")
@@ -223,13 +224,13 @@ def _search_overview(comparison: Comparison, title: str) -> Table:
     names = list(dict.fromkeys(name for row in comparison.rows for name in row.shares))
     totals = ("episodes", "simulated_seconds", "cpu_s")
     header = ("group", "seeds", "policies", *(name.replace("_", " ") for name in names))
-    header += ("distance, m", *(name.replace("_", " ") for name in totals))
+    measured = {f"{q.brief} (at the goal)": q.path[-1] for q in _of_successes(comparison)}
+    header += (*measured, *(name.replace("_", " ") for name in totals))
     rows: list[tuple[str, ...]] = []
     for row in comparison.rows:
         shares = [row.shares.get(name) for name in names]
         size = max(share.proportion.total for share in row.shares.values())
-        distances = [run.summary.get("distance_m") for run in row.group.runs]
-        told = [NONE if d is None else number(d, 1) for d in distances]
+        medians = [run.summary.get("median_of_goal_policies", {}) for run in row.group.runs]
         sums = [row.total(name) for name in totals]
         rows.append(
             (
@@ -237,11 +238,20 @@ def _search_overview(comparison: Comparison, title: str) -> Table:
                 str(len(row.group.seeds)),
                 f"{size:,}",
                 *(NONE if share is None else _of(share) for share in shares),
-                ", ".join(told),
+                *(", ".join(number(own.get(key)) for own in medians) for key in measured.values()),
                 *(NONE if total is None else number(total, 0) for total in sums),
             )
         )
     return Table(title, header, tuple(rows), "Shares with Wilson 95 % intervals.")
+
+
+def _of_successes(comparison: Comparison) -> list[Quantity]:
+    """What the policies of a search that always reach the goal have medians of."""
+    runs = [run for row in comparison.rows for run in row.group.runs]
+    known = {key for run in runs for key in run.summary.get("median_of_goal_policies", {})}
+    about = comparison.section.about
+    names = [m.name for m in about.measures if m.successes and m.better != "neither"]
+    return [q for q in evaluation(about) if q.path[-1] in names and q.path[-1] in known]
 
 
 def _of(share: Share) -> str:
@@ -262,8 +272,8 @@ def _against_baseline(comparison: Comparison) -> list[Table]:
         ]
         note = "p: two-proportion z test that the two shares are one."
         return [Table(title, header, tuple(rows), note)]
-    told = [q for q in (FALLS, SECONDS, FALLS_AFTER) if q in comparison.quantities]
-    told += [q for q in comparison.quantities if q.path[0] == "goal_time_s" or _is_headline(q)]
+    costs = learning(comparison.section.about.words)
+    told = [q for q in comparison.quantities if _is_headline(q) or q in costs]
     header = ("group",)
     for quantity in told:
         header += (f"{quantity.brief}: difference", "better")

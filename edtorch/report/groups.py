@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from edtorch.report.runs import LeftOut, Run, Settings
+from edtorch.report.domain import Domain, ReturnOf
+from edtorch.report.runs import FIRST, LeftOut, Run, Settings
 
 Defaults = Callable[[Settings], Settings]
 """From the settings of a run to those that it does not name, with the values they have today."""
@@ -60,6 +61,11 @@ class Group:
     places: tuple[Place, ...]
 
     @property
+    def learns(self) -> bool:
+        """Whether its method learns."""
+        return any(run.learns for run in self.runs)
+
+    @property
     def seeds(self) -> list[int]:
         """Each once."""
         return [place.seed for place in self.places]
@@ -80,6 +86,16 @@ class Section:
     domain: str
     searches: bool
     groups: tuple[Group, ...]
+
+    @property
+    def about(self) -> Domain:
+        """What its results are called, with the measures of all runs."""
+        found = [run.domain for group in self.groups for run in group.runs]
+        measures = {m.name: m for domain in found for m in domain.measures}
+        kinds: list[ReturnOf] = [domain.return_of for domain in found if domain.return_of]
+        return replace(
+            found[0], measures=tuple(measures.values()), return_of=kinds[0] if kinds else ""
+        )
 
     @property
     def title(self) -> str:
@@ -104,13 +120,14 @@ def sections(
     baseline: label or folder of the group that is to be first; by_folder: labels are the names of
     folders.  Raises BaselineUnknown for a baseline that no group answers to.
     """
-    kinds: dict[tuple[str, bool], list[Run]] = {}
+    kinds: dict[tuple[str, str, bool], list[Run]] = {}
     for run in runs:
-        kinds.setdefault((run.settings["domain._target_"], run.is_search), []).append(run)
+        kind = (run.settings["domain._target_"], _name(run), run.is_search)
+        kinds.setdefault(kind, []).append(run)
     left_out: list[LeftOut] = []
     names = _short_names([run.path for run in runs])
     made, found, known = [], baseline is None, []
-    for (domain, searches), members in kinds.items():
+    for (_, domain, searches), members in kinds.items():
         pools: dict[str, tuple[dict[str, Any], list[Run]]] = {}
         for run in members:
             settings = telling({**defaults(run.settings), **run.settings})
@@ -144,10 +161,16 @@ def sections(
             for label, title, settings, own in zip(labels, titles, every, pooled, strict=True)
         ]
         groups.insert(0, groups.pop(first))
-        made.append(Section(domain.rpartition(".")[2], searches, tuple(groups)))
+        made.append(Section(domain, searches, tuple(groups)))
     if not found:
         raise BaselineUnknown(f"baseline={baseline}: expected one of {', '.join(known)}")
     return made, left_out
+
+
+def _name(run: Run) -> str:
+    """Of its domain: the class, or which of the many environments that the class can be."""
+    target = str(run.settings["domain._target_"]).rpartition(".")[2]
+    return str(run.settings.get("domain.env_id", target))
 
 
 def _plain(value: Any) -> Any:
@@ -179,9 +202,7 @@ def _figures(run: Run, seeds: list[int]) -> list[Any]:
     """What tells whether two runs of a seed went alike."""
     if run.is_search:
         return [{k: v for k, v in run.summary.items() if isinstance(v, dict) and "count" in v}]
-    columns = [
-        run.per_seed(key) for key in ("falls_before_first_ride", "seconds_before_first_ride")
-    ]
+    columns = [run.per_seed(key) for key in (*FIRST, "episode_s")]
     rows = [run.seeds.index(seed) for seed in seeds]
     return [[column[row] for column in columns if column is not None] for row in rows]
 

@@ -1,13 +1,20 @@
-"""What a report tells of a group of learners: which figures, with which names and digits."""
+"""Which figures a table shows of learners, with which labels and digits."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
+from edtorch.report.domain import RETURN, Domain
 from edtorch.report.groups import Group, Section
 from edtorch.report.proportions import Proportion
-from edtorch.report.runs import LEARNING
 from edtorch.report.samples import Sample
+from sims.base import Words
+
+EVALUATION = "evaluation: "
+MILESTONES = "milestones"
+"""Where they stand in ``summary.json``."""
 
 
 @dataclass(frozen=True)
@@ -15,154 +22,252 @@ class Quantity:
     """A figure with one value per seed.
 
     path: where it stands in ``summary.json``; brief: its label where there is little room; digits:
-    after the point; more_is_better: how a learner improves on another; until_ride: it counts up to
-    the first ride, and is censored for a learner that never rode; after_ride: such a learner has
-    none; milestone: in place of the first ride for these two.
+    after the point, None: five significant ones; more_is_better: how a learner improves on another;
+    until: it counts up to the first success, or to the milestone of this name, and is censored for
+    a learner that never was there; after: such a learner has none; learning: only a method that
+    learns has it; detail: not for overviews.
     """
 
     path: tuple[str, ...]
     label: str
     brief: str
-    digits: int
+    digits: int | None = None
     more_is_better: bool = False
-    until_ride: bool = False
-    after_ride: bool = False
-    milestone: str = ""
+    until: str = ""
+    after: str = ""
+    learning: bool = False
+    detail: bool = False
 
     @property
     def name(self) -> str:
         """In ``report.json``."""
         return ".".join(self.path)
 
-
-FALLS, SECONDS = (
-    Quantity((LEARNING[0],), "falls before the first ride", "falls before", 1, until_ride=True),
-    Quantity((LEARNING[1],), "seconds before the first ride", "seconds before", 1, until_ride=True),
-)
-FALLS_AFTER = Quantity(
-    ("falls_after_first_ride",), "falls after the first ride", "falls after", 1, after_ride=True
-)
-EVALUATION = (
-    Quantity(
-        ("goal_rate",),
-        "evaluation: share that reaches the goal",
-        "goal rate",
-        4,
-        more_is_better=True,
-    ),
-    Quantity(("fall_rate",), "evaluation: share that falls", "fall rate", 4),
-    Quantity(("goal_time_s",), "evaluation: time to the goal, s", "goal time, s", 1),
-    Quantity(
-        ("goal_time_over_shortest",),
-        "evaluation: time over the shortest possible",
-        "over shortest",
-        4,
-    ),
-    Quantity(("path_length_m",), "evaluation: length of path, m", "path, m", 1),
-    Quantity(("episode_s",), "evaluation: length of episode, s", "episode, s", 1),
-)
-FINAL = "final"
-"""Where the figures of a family of tasks stand, at the end of learning."""
-MINUTES = "minutes"
+    @property
+    def milestone(self) -> str:
+        """Which one it belongs to; "" for none."""
+        return self.path[1] if self.path[0] == MILESTONES else ""
 
 
-MILESTONES = "milestones"
-"""Where they stand in ``summary.json``."""
-TITLES = {"stable": "stable riding", "goal": "the goal"}
+SUCCESS = "success"
+"""The first one, as a place that quantities count up to."""
+
+
+def learning(words: Words) -> tuple[Quantity, Quantity, Quantity]:
+    """Failures and seconds before the first success, and failures after it."""
+    failures, first = words.failures, f"the first {words.success}"
+    return (
+        Quantity(
+            ("failures_before_first_success",),
+            f"{failures} before {first}",
+            f"{failures} before",
+            1,
+            until=SUCCESS,
+            learning=True,
+        ),
+        Quantity(
+            ("seconds_before_first_success",),
+            f"seconds before {first}",
+            "seconds before",
+            1,
+            until=SUCCESS,
+            learning=True,
+        ),
+        Quantity(
+            ("failures_after_first_success",),
+            f"{failures} after {first}",
+            f"{failures} after",
+            1,
+            after=SUCCESS,
+            learning=True,
+        ),
+    )
+
+
+def rates(words: Words) -> tuple[Quantity, Quantity]:
+    """Shares of the fresh episodes that failed, and that succeeded."""
+    failed, succeeded = f"{words.failure} rate", f"{words.success} rate"
+    return (
+        Quantity(("failure_rate",), EVALUATION + failed, failed, 4),
+        Quantity(("success_rate",), EVALUATION + succeeded, succeeded, 4, more_is_better=True),
+    )
+
+
+HEADLINES = 2
+"""So many measures of a sim stand in overviews: those that it declares first."""
+
+
+def evaluation(domain: Domain) -> tuple[Quantity, ...]:
+    """Of fresh episodes: what every domain has, and what this one measures."""
+    failed, succeeded = rates(domain.words)
+    label = domain.return_label
+    measured = tuple(
+        Quantity(
+            (m.name,),
+            EVALUATION + m.with_unit,
+            m.with_unit,
+            more_is_better=m.better == "higher",
+            detail=place >= HEADLINES,
+        )
+        for place, m in enumerate(domain.measures)
+        if m.better != "neither"
+    )
+    length = "length of episode, s"
+    episode = Quantity(("episode_s",), EVALUATION + length, "episode, s", detail=True)
+    earned = Quantity((RETURN,), EVALUATION + label, label, more_is_better=True)
+    return (failed, earned, succeeded, *measured, episode)
+
+
+def training(domain: Domain) -> tuple[Quantity, ...]:
+    """Of the episodes of the learning itself, exploration included."""
+    return tuple(
+        Quantity(
+            ("training", *quantity.path),
+            quantity.label.replace(EVALUATION, "training: "),
+            f"training: {quantity.brief}",
+            quantity.digits,
+            quantity.more_is_better,
+            learning=True,
+        )
+        for quantity in evaluation(replace(domain, measures=()))
+        if quantity.path != ("success_rate",)
+    )
+
+
+TITLES = {"stable": "a stable policy", "goal": "the goal"}
 """Of the milestones, as in "what was paid to ..."."""
 
 
-def _milestone(name: str) -> tuple[Quantity, ...]:
+def to_milestone(name: str, domain: Domain) -> tuple[Quantity, ...]:
+    """What was paid before a policy first was there in all its fresh episodes; and how its
+    successful episodes were there, where a success is needed to be there."""
     to = TITLES[name]
 
     def paid(key: str, what: str, digits: int) -> Quantity:
-        place = (MILESTONES, name, key)
-        return Quantity(place, f"{what} to {to}", what, digits, until_ride=True, milestone=name)
+        path = (MILESTONES, name, key)
+        return Quantity(path, f"{what} to {to}", what, digits, until=name)
 
-    path = Quantity(
-        (MILESTONES, name, "path_length_m"),
-        f"path length of the first policy at {to}, m",
-        "path, m",
-        0,
-        after_ride=True,
-        milestone=name,
+    there = tuple(
+        Quantity(
+            (MILESTONES, name, m.name),
+            f"{m.with_unit}: the first policy at {to}",
+            m.with_unit,
+            after=name,
+        )
+        for m in domain.measures
+        if m.successes and m.better != "neither" and name == "goal"
     )
     return (
-        paid("falls", "falls", 1),
+        paid("failures", domain.words.failures, 1),
         paid("seconds", "simulated seconds", 1),
         paid("cpu_s", "CPU seconds", 2),
-        path,
+        *there,
     )
 
 
-TO_STABLE = _milestone("stable")[:3]
-TO_GOAL = _milestone("goal")
-"""What was paid before a policy first rode in all its fresh episodes, and first to the goal in all
-of them; and how long its path then was."""
+def to_milestones(domain: Domain) -> tuple[Quantity, ...]:
+    """Of all milestones."""
+    return tuple(q for name in TITLES for q in to_milestone(name, domain))
+
+
+def every(domain: Domain) -> tuple[Quantity, ...]:
+    """All that a report may show of a domain, in order."""
+    return (
+        *evaluation(domain),
+        *learning(domain.words),
+        *training(domain),
+        *to_milestones(domain),
+    )
+
+
+Column = Callable[[tuple[str, ...]], Sequence[float | None]]
+"""From a path to the values of all seeds."""
+
+
+def told(domain: Domain, quantities: Iterable[Quantity], column: Column) -> list[Quantity]:
+    """Those with a value for some seed.
+
+    A share of failures is not told where nothing has failed and success is not defined: such a
+    domain knows no failure.
+    """
+    of_success = (("success_rate",), ("failures_before_first_success",))
+    defined = domain.survival is not None or any(
+        v is not None for path in of_success for v in column(path)
+    )
+    failed = any(any(column((*place, "failure_rate"))) for place in ((), ("training",)))
+    can_fail = defined or failed
+    return [
+        quantity
+        for quantity in quantities
+        if any(v is not None for v in column(quantity.path))
+        and (can_fail or quantity.path[-1] != "failure_rate")
+    ]
+
+
+def told_of(
+    domain: Domain, summary: Mapping[str, Any], quantities: Iterable[Quantity]
+) -> list[Quantity]:
+    """``told``, of one ``summary.json``."""
+
+    def column(path: tuple[str, ...]) -> Sequence[float | None]:
+        found: Any = summary
+        for key in path:
+            found = found.get(key, {})
+        return found.get("per_seed", ())
+
+    return told(domain, quantities, column)
 
 
 def quantities(section: Section) -> list[Quantity]:
     """Those that some learner of the section has."""
-    finals: dict[str, None] = {}
-    for group in section.groups:
-        for run in group.runs:
-            finals |= dict.fromkeys(run.summary.get(FINAL, {}))
-    finals.pop(MINUTES, None)
-    # Those of a family of tasks tell the same as the plain evaluation, and more.
-    after = [_final(key) for key in finals] if finals else list(EVALUATION)
-    every = [FALLS, SECONDS, FALLS_AFTER, *after, *TO_STABLE, *TO_GOAL]
-    return [
-        quantity
-        for quantity in every
-        if any(v is not None for group in section.groups for v in group.per_seed(*quantity.path))
-    ]
+
+    def column(path: tuple[str, ...]) -> Sequence[float | None]:
+        return [value for group in section.groups for value in group.per_seed(*path)]
+
+    return told(section.about, every(section.about), column)
 
 
-def _final(key: str) -> Quantity:
-    brief = key.replace("_", " ")
-    return Quantity(
-        (FINAL, key), f"evaluation: {brief}", brief, 4, more_is_better=key.endswith("success_rate")
-    )
+def never_there(group: Group, place: str = SUCCESS) -> list[bool]:
+    """Of each seed of a group, whether it never succeeded, or never was at a milestone."""
+    keys = ("never_succeeded",) if place == SUCCESS else (MILESTONES, place, "never")
+    return [seat.seed in _found(seat.run.summary, keys) for seat in group.places]
 
 
-def never_rode(group: Group) -> list[bool]:
-    """Of each seed of a group."""
-    return [place.seed in place.run.summary["never_rode"] for place in group.places]
-
-
-def _never(quantity: Quantity, group: Group) -> list[bool]:
-    """Of each seed, whether it never was where the quantity counts to."""
-    if not quantity.milestone:
-        return never_rode(group)
-    return [
-        place.seed
-        in place.run.summary.get(MILESTONES, {}).get(quantity.milestone, {}).get("never", ())
-        for place in group.places
-    ]
+def _found(summary: Mapping[str, Any], keys: Sequence[str]) -> Any:
+    node: Any = summary
+    for key in keys:
+        node = node.get(key, {})
+    return node
 
 
 def sample(quantity: Quantity, group: Group) -> Sample | None:
     """Its values in a group; None without any."""
-    marks = _never(quantity, group)
+    if quantity.learning and not group.learns:
+        return None
+    marks = never_there(group, quantity.until or quantity.after or SUCCESS)
     pairs = [
-        (value, never and quantity.until_ride)
+        (value, never and bool(quantity.until))
         for value, never in zip(group.per_seed(*quantity.path), marks, strict=True)
-        if value is not None and not (never and quantity.after_ride)
+        if value is not None and not (never and quantity.after)
     ]
     return Sample.of([v for v, _ in pairs], [mark for _, mark in pairs]) if pairs else None
 
 
-def rode(group: Group) -> Proportion:
-    """Seeds that rode at all."""
-    marks = never_rode(group)
+def succeeded(group: Group) -> Proportion | None:
+    """Seeds that succeeded at all; None where that is not known, or the method does not learn."""
+    if not group.learns or not all("never_succeeded" in run.summary for run in group.runs):
+        return None
+    marks = never_there(group)
     return Proportion(marks.count(False), len(marks))
 
 
-def zero_falls(group: Group) -> Proportion:
-    """Seeds that rode, and did not fall before: ``zero_fall_rate``.
+def zero_failures(group: Group) -> Proportion | None:
+    """Seeds that succeeded, and had not failed before: ``zero_failure_rate``.
 
-    One whose budget ended before it fell or rode is none of them.
+    One whose budget ended before it failed or succeeded does not count.
     """
-    falls = group.per_seed(*FALLS.path)
-    pairs = list(zip(falls, never_rode(group), strict=True))
+    if succeeded(group) is None:
+        return None
+    failures = group.per_seed("failures_before_first_success")
+    pairs = list(zip(failures, never_there(group), strict=True))
     return Proportion(sum(f == 0 and not never for f, never in pairs), len(pairs))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -17,11 +17,16 @@ from typing import Any, NoReturn
 import yaml
 
 from edtorch.renamed import current_keys, current_target
+from edtorch.report import legacy
+from edtorch.report.domain import Domain, from_json
+from edtorch.report.statistics import GENERIC
 
 CONFIG, SUMMARY, STATUS, ABOUT = "config.yaml", "summary.json", "status.json", "run.json"
 ABOUT_KINDS: dict[str, type] = {"versions": dict, "command": str, "git": str}
 """What is only shown, wherever it stands."""
 Settings = Mapping[str, Any]
+Known = Callable[[Settings], Domain | None]
+"""From the settings of a run whose summary does not describe its domain to the domain, if known."""
 
 
 class Unusable(Exception):
@@ -40,19 +45,26 @@ class LeftOut:
 class Run:
     """A finished run.
 
-    settings: every leaf of its configuration by its full key; about: of ``run.json``, empty where
-    there is none.
+    settings: every leaf of its configuration by its full key; summary: in the keys of today; about:
+    of ``run.json``, empty where there is none.
     """
 
     path: Path
     settings: Settings
     summary: Mapping[str, Any]
     about: Mapping[str, Any]
+    domain: Domain
 
     @property
     def is_search(self) -> bool:
         """Whether it is of a rival that counts policies, not of learners with a seed each."""
         return "seeds" not in self.summary
+
+    @property
+    def learns(self) -> bool:
+        """Whether it is of a method that learns from experience: a regulator has none."""
+        lived = self.summary.get("simulated_seconds")
+        return not isinstance(lived, list) or any(lived)
 
     @property
     def seeds(self) -> list[int]:
@@ -113,7 +125,11 @@ def _runs_under(folder: Path) -> list[Path]:
     return found
 
 
-def load(path: Path) -> Run:
+def _nothing(settings: Settings) -> None:
+    return None
+
+
+def load(path: Path, known: Known = _nothing) -> Run:
     """Raises Unusable."""
     status = _json(path / STATUS) if (path / STATUS).exists() else None
     if status is not None and status.get("status") != "done":
@@ -125,21 +141,36 @@ def load(path: Path) -> Run:
     if not (path / CONFIG).exists():
         raise Unusable(f"it has no {CONFIG}")
     settings = _settings(path / CONFIG)
-    about = _json(path / ABOUT) if (path / ABOUT).exists() else {}
-    run = Run(path, settings, _json(path / SUMMARY), about)
     if "domain._target_" not in settings:
         raise Unusable(f"{CONFIG}: expected domain._target_, which names the domain")
-    (_check_search if run.is_search else _check_learning)(run.summary)
+    about = _json(path / ABOUT) if (path / ABOUT).exists() else {}
+    summary = _json(path / SUMMARY)
+    domain = _domain(summary, settings, known)
+    if "domain" not in summary:
+        summary = legacy.modern(summary, domain)
+    run = Run(path, settings, summary, about, domain)
+    (_check_search if run.is_search else _check_learning)(summary)
     return run
 
 
-def load_all(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
+def _domain(summary: Mapping[str, Any], settings: Settings, known: Known) -> Domain:
+    if "domain" not in summary:
+        name = str(settings["domain._target_"]).rpartition(".")[2]
+        return known(settings) or legacy.old_domain(name, summary)
+    try:
+        return from_json(summary["domain"])
+    except (KeyError, TypeError, ValueError) as error:
+        why = f"domain: expected name, words and measures ({error})"
+        raise Unusable(f"corrupted: {SUMMARY}: {why}") from error
+
+
+def load_all(folders: Sequence[Path], known: Known = _nothing) -> tuple[list[Run], list[LeftOut]]:
     """The finished runs in and under the folders, and what cannot be used."""
     paths, left_out = find(folders)
     runs: list[Run] = []
     for path in paths:
         try:
-            runs.append(load(path))
+            runs.append(load(path, known))
         except Unusable as error:
             left_out.append(LeftOut(path, str(error)))
     return runs, left_out
@@ -208,22 +239,18 @@ def _is_list_of(kind: type, value: object) -> bool:
     )
 
 
-LEARNING = ("falls_before_first_ride", "seconds_before_first_ride")
-"""What makes a summary that of learners: both known for every seed."""
+FIRST = ("failures_before_first_success", "seconds_before_first_success")
+"""Known for every seed, where success is defined."""
 
 
 def _check_learning(summary: Mapping[str, Any]) -> None:
     seeds = summary["seeds"]
     if not _is_list_of(int, seeds) or not seeds or len(set(seeds)) != len(seeds):
         raise Unusable(f"corrupted: {SUMMARY}: seeds: expected different integers, at least one")
-    for key in LEARNING:
-        values = summary.get(key)
-        values = values.get("per_seed") if isinstance(values, dict) else None
-        if not isinstance(values, list) or not all(map(_is_number, values)):
-            raise Unusable(f"corrupted: {SUMMARY}: {key}.per_seed: expected a number per seed")
-    never = summary.get("never_rode")
-    if not _is_list_of(int, never) or not set(never or ()) <= set(seeds):
-        raise Unusable(f"corrupted: {SUMMARY}: never_rode: expected some of its seeds")
+    if not any(key in summary for key in (*FIRST, *GENERIC)):
+        raise Unusable(f"corrupted: {SUMMARY}: expected figures, such as {GENERIC[0]}")
+    if any(key in summary for key in (*FIRST, "never_succeeded")):
+        _check_first(summary, seeds)
     _check_spreads(summary, len(seeds), "")
     _check_milestones(summary, seeds)
     if not isinstance(summary.get("final", {}), dict):
@@ -231,6 +258,17 @@ def _check_learning(summary: Mapping[str, Any]) -> None:
     evaluations = summary.get("evaluations", [])
     if not isinstance(evaluations, list) or not all(map(_is_evaluation, evaluations)):
         raise Unusable(f"corrupted: {SUMMARY}: evaluations: expected figures, each with minutes")
+
+
+def _check_first(summary: Mapping[str, Any], seeds: Sequence[int]) -> None:
+    for key in FIRST:
+        values = summary.get(key)
+        values = values.get("per_seed") if isinstance(values, dict) else None
+        if not isinstance(values, list) or not all(map(_is_number, values)):
+            raise Unusable(f"corrupted: {SUMMARY}: {key}.per_seed: expected a number per seed")
+    never = summary.get("never_succeeded")
+    if not _is_list_of(int, never) or not set(never or ()) <= set(seeds):
+        raise Unusable(f"corrupted: {SUMMARY}: never_succeeded: expected some of its seeds")
 
 
 def _check_milestones(summary: Mapping[str, Any], seeds: Sequence[int]) -> None:
@@ -250,7 +288,7 @@ def _is_evaluation(node: Any) -> bool:
     return (
         isinstance(node, dict)
         and _is_number(node.get("minutes"))
-        and all(isinstance(v, dict) and "per_seed" in v for k, v in node.items() if k != "minutes")
+        and all(isinstance(v, dict) for k, v in node.items() if k != "minutes")
     )
 
 

@@ -1,9 +1,9 @@
 """Figures with one value per seed, some of them censored, and what a bootstrap makes of them.
 
-A learner that never rode within its budget has no falls *before its first ride*, only a number so
-far: its value is censored.  Beside what it has paid (``lived``) it counts as worse than every
-learner that rode: ``ranked`` is infinite there.  So a quartile that no censored learner reaches is
-exact, and one that they do reach is infinite, never a number that was not measured.
+A learner that never succeeded within its budget has no failures *before its first success*, only a
+number so far: its value is censored.  Beside what it has paid (``lived``) it counts as worse than
+every learner that succeeded: ``ranked`` is infinite there.  So a quartile that no censored learner
+reaches is exact, and one that they do reach is infinite, never a number that was not measured.
 """
 
 from __future__ import annotations

@@ -1,15 +1,16 @@
-"""Figures of a run over its seeds; the seed is the unit, whatever it did in between."""
+"""Figures of a run over its seeds; the seed is the unit, however many episodes it had."""
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from edtorch.report.domain import RETURN
 from edtorch.run.episodes import Episode
-from sims.base import Outcome
+from sims.base import Measure, Outcome, Words
 
 
 @dataclass(frozen=True)
@@ -21,12 +22,12 @@ class Spread:
     @property
     def known(self) -> list[float]:
         """The figures that there are."""
-        return [v for v in self.per_seed if v is not None and math.isfinite(v)]
+        return _finite(self.per_seed)
 
     @property
     def median(self) -> float | None:
         """Median over the seeds that have the figure."""
-        return statistics.median(self.known) if self.known else None
+        return _median(self.known)
 
     def as_json(self) -> dict[str, Any]:
         """``per_seed``, ``median``, ``min``, ``max``; null where there is none."""
@@ -39,23 +40,47 @@ class Spread:
         }
 
 
+def _finite(values: Sequence[float | None]) -> list[float]:
+    return [v for v in values if v is not None and math.isfinite(v)]
+
+
+def _median(values: Sequence[float]) -> float | None:
+    numbers = _finite(values)
+    return statistics.median(numbers) if numbers else None
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    numbers = _finite(values)
+    return statistics.fmean(numbers) if numbers else None
+
+
+def _share(marks: Sequence[bool | None]) -> float | None:
+    """Of those that are known; None without any."""
+    known = [mark for mark in marks if mark is not None]
+    return sum(known) / len(known) if known else None
+
+
 @dataclass(frozen=True)
-class FirstRide:
-    """What a learner paid for its first ride; without one, what it has paid so far."""
+class FirstSuccess:
+    """What a learner paid for its first success; without one, what it has paid so far.
 
-    rode: bool
-    falls_before: int
+    seconds_before: simulated, up to the start of that episode.
+    """
+
+    succeeded: bool
+    failures_before: int
     seconds_before: float
-    falls_after: int
+    failures_after: int
 
 
-def first_ride(episodes: Sequence[Episode], seconds: float) -> FirstRide:
+def first_success(episodes: Sequence[Episode], seconds: float) -> FirstSuccess:
     """From one learner's finished episodes, in order, and its simulated seconds in all."""
-    falls = [e.outcome is Outcome.FAILED for e in episodes]
+    failures = [e.outcome is Outcome.FAILED for e in episodes]
     for index, episode in enumerate(episodes):
-        if episode.is_ride:
-            return FirstRide(True, sum(falls[:index]), episode.start, sum(falls[index:]))
-    return FirstRide(False, sum(falls), seconds, 0)
+        if episode.success:
+            before, after = sum(failures[:index]), sum(failures[index:])
+            return FirstSuccess(True, before, episode.start, after)
+    return FirstSuccess(False, sum(failures), seconds, 0)
 
 
 def by_row(episodes: Sequence[Episode], rows: int) -> list[list[Episode]]:
@@ -66,74 +91,89 @@ def by_row(episodes: Sequence[Episode], rows: int) -> list[list[Episode]]:
     return sorted_out
 
 
-def learning_figures(
-    episodes: Sequence[Episode], seeds: Sequence[int], seconds: Sequence[float]
-) -> dict[str, Any]:
-    """The figures of the learning itself, for ``summary.json``."""
-    per_seed = [
-        first_ride(own, lived)
-        for own, lived in zip(by_row(episodes, len(seeds)), seconds, strict=True)
-    ]
-    return first_ride_figures(per_seed, seeds)
+def first_success_figures(first: Sequence[FirstSuccess], seeds: Sequence[int]) -> dict[str, Any]:
+    """What each seed paid for its first success, for ``summary.json``.
 
-
-def first_ride_figures(per_seed: Sequence[FirstRide], seeds: Sequence[int]) -> dict[str, Any]:
-    """What each seed paid for its first ride, for ``summary.json``."""
-    return {
-        "falls_before_first_ride": Spread([r.falls_before for r in per_seed]).as_json(),
-        "seconds_before_first_ride": Spread([r.seconds_before for r in per_seed]).as_json(),
-        "falls_after_first_ride": Spread([r.falls_after for r in per_seed]).as_json(),
-        "zero_fall_rate": sum(r.rode and r.falls_before == 0 for r in per_seed) / len(per_seed),
-        "never_rode": [s for s, r in zip(seeds, per_seed, strict=True) if not r.rode],
-    }
-
-
-def _median_or_none(values: Sequence[float]) -> float | None:
-    numbers = [v for v in values if math.isfinite(v)]
-    return statistics.median(numbers) if numbers else None
-
-
-def _over_shortest(episode: Episode) -> float:
-    shortest = episode.measures.get("shortest_time_s", math.nan)
-    return episode.seconds / shortest if shortest > 0 else math.nan
-
-
-def evaluation_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]:
-    """The figures of fresh episodes, per seed: the goal rate, the median of everything else; and
-    ``goal_time_all_s``, the quantiles of the time over all episodes of all seeds.
-
-    ``goal_time_s`` and the sim's own measures are those of the episodes that reached the goal;
-    ``fall_rate`` beside ``goal_rate`` tells a timeout from a fall.
+    ``zero_failure_rate``: share of the seeds that succeeded and had not failed before;
+    ``never_succeeded``: the seeds without a success.
     """
-    reached = [[e for e in own if e.outcome is Outcome.SUCCEEDED] for own in evaluated]
-    figures: dict[str, Any] = {
-        "goal_rate": Spread(
-            [len(r) / len(own) if own else None for r, own in zip(reached, evaluated, strict=True)]
-        ).as_json(),
-        "fall_rate": Spread(
-            [
-                sum(e.outcome is Outcome.FAILED for e in own) / len(own) if own else None
-                for own in evaluated
-            ]
-        ).as_json(),
-        "goal_time_s": Spread([_median_or_none([e.seconds for e in r]) for r in reached]).as_json(),
-        "goal_time_all_s": _quantiles([e.seconds for r in reached for e in r]),
-        "path_length_m": Spread(_measure(reached, "path_length_m")).as_json(),
-        "goal_time_over_shortest": Spread(
-            [_median_or_none([_over_shortest(e) for e in r]) for r in reached]
-        ).as_json(),
-        "episode_s": Spread(
-            [_median_or_none([e.seconds for e in own]) for own in evaluated]
-        ).as_json(),
+    return {
+        "failures_before_first_success": Spread([f.failures_before for f in first]).as_json(),
+        "seconds_before_first_success": Spread([f.seconds_before for f in first]).as_json(),
+        "failures_after_first_success": Spread([f.failures_after for f in first]).as_json(),
+        "zero_failure_rate": sum(f.succeeded and not f.failures_before for f in first) / len(first),
+        "never_succeeded": [s for s, f in zip(seeds, first, strict=True) if not f.succeeded],
     }
+
+
+GENERIC = ("failure_rate", RETURN, "success_rate", "episode_s")
+"""Figures of the episodes of any domain, by their keys in ``summary.json``."""
+
+
+def generic_figures(episodes: Sequence[Sequence[Episode]]) -> dict[str, Any]:
+    """Of the episodes of each seed: the share that failed, the mean return, the share that
+    succeeded, the median length in s.  What no episode has is left out."""
+    figures: dict[str, Callable[[Sequence[Episode]], float | None]] = {
+        "failure_rate": lambda own: _share([e.outcome is Outcome.FAILED for e in own]),
+        RETURN: lambda own: _mean([e.total_reward for e in own]),
+        "success_rate": lambda own: _share([e.success for e in own]),
+        "episode_s": lambda own: _median([e.seconds for e in own]),
+    }
+    spreads = {name: Spread([figure(own) for own in episodes]) for name, figure in figures.items()}
+    optional = (RETURN, "success_rate")
+    return {n: s.as_json() for n, s in spreads.items() if s.known or n not in optional}
+
+
+def measure_figures(
+    episodes: Sequence[Sequence[Episode]], measures: Sequence[Measure]
+) -> dict[str, Any]:
+    """What the sim measures, of the episodes of each seed; see ``sims.base.Measure``."""
+    figures: dict[str, Any] = {}
+    for measure in measures:
+        values = [
+            [
+                e.measures.get(measure.name, math.nan)
+                for e in own
+                if e.outcome is Outcome.SUCCEEDED or not measure.successes
+            ]
+            for own in episodes
+        ]
+        middle = _median if measure.successes else _mean
+        figures[measure.name] = Spread([middle(own) for own in values]).as_json()
+        if measure.median:
+            figures[measure.median] = Spread([_median(own) for own in values]).as_json()
+        if measure.pooled:
+            figures[measure.pooled] = _quantiles([v for own in values for v in own])
     return figures
+
+
+def evaluation_figures(
+    episodes: Sequence[Sequence[Episode]], measures: Sequence[Measure], words: Words
+) -> dict[str, Any]:
+    """All figures of the fresh episodes of each seed, for ``summary.json``, also by the keys that
+    the words of the domain make."""
+    figures = generic_figures(episodes) | measure_figures(episodes, measures)
+    return figures | aliases(figures, words)
+
+
+def learning_figures(
+    episodes: Sequence[Sequence[Episode]], seeds: Sequence[int], seconds: Sequence[float]
+) -> dict[str, Any]:
+    """Of the learning itself, from each seed's finished episodes and simulated seconds in all."""
+    first = [first_success(own, lived) for own, lived in zip(episodes, seconds, strict=True)]
+    return first_success_figures(first, seeds)
+
+
+def is_defined(episodes: Sequence[Sequence[Episode]], survival: bool | None) -> bool:
+    """Whether success is, where ``survival`` is that of the domain (``sims.base.Spec``)."""
+    return survival is not None or any(e.success is not None for own in episodes for e in own)
 
 
 def _quantiles(values: Sequence[float]) -> dict[str, float | None]:
     """median, p95 and max (None of nothing)."""
-    if not values:
+    ranked = sorted(_finite(values))
+    if not ranked:
         return {"median": None, "p95": None, "max": None}
-    ranked = sorted(values)
     return {
         "median": statistics.median(ranked),
         "p95": ranked[math.ceil(0.95 * len(ranked)) - 1],
@@ -141,29 +181,20 @@ def _quantiles(values: Sequence[float]) -> dict[str, float | None]:
     }
 
 
-def _measure(episodes: Sequence[Sequence[Episode]], name: str) -> list[float | None]:
-    return [_median_or_none([e.measures.get(name, math.nan) for e in own]) for own in episodes]
+def names_by(words: Words) -> dict[str, str]:
+    """From keys of any domain to those that the words of one make: "falls_before_first_ride"."""
+    w = words
+    return {
+        "failures_before_first_success": f"{w.failures}_before_first_{w.success}",
+        "seconds_before_first_success": f"seconds_before_first_{w.success}",
+        "failures_after_first_success": f"{w.failures}_after_first_{w.success}",
+        "zero_failure_rate": f"zero_{w.failure}_rate",
+        "never_succeeded": f"never_{w.succeeded}",
+        "failure_rate": f"{w.failure}_rate",
+        "failures": w.failures,
+    }
 
 
-MEDIANS = {"joint_error_rad": "joint_error_median_rad"}
-"""Measures of which the median over the episodes is told beside the mean, under this name."""
-
-
-def goal_figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, Any]:
-    """The figures of fresh episodes of a family of tasks, per seed: means over all episodes of the
-    sim's own measures at their ends, crashes included, and the shares that crashed or succeeded."""
-    names = next((list(e.measures) for own in evaluated for e in own), [])
-    figures: dict[str, Any] = {}
-    for name in names:
-        values = [[e.measures[name] for e in own] for own in evaluated]
-        figures[name] = Spread([statistics.fmean(own) for own in values]).as_json()
-        if name in MEDIANS:
-            figures[MEDIANS[name]] = Spread([statistics.median(own) for own in values]).as_json()
-    for name, outcome in (("crash_rate", Outcome.FAILED), ("success_rate", Outcome.SUCCEEDED)):
-        figures[name] = Spread(
-            [
-                sum(e.outcome is outcome for e in own) / len(own) if own else None
-                for own in evaluated
-            ]
-        ).as_json()
-    return figures
+def aliases(figures: dict[str, Any], words: Words) -> dict[str, Any]:
+    """The figures whose keys are others in the words of the domain, by those."""
+    return {new: figures[old] for old, new in names_by(words).items() if old in figures}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from edtorch.report.statistics import FirstRide
+from edtorch.report.statistics import FirstSuccess
 from edtorch.run.episodes import RIDES, Budget
 from edtorch.run.scaled_sim import World
 from sims.base import Outcome
@@ -65,12 +65,12 @@ class Account:
         self.end(outcome, seconds)
 
     @property
-    def first_ride(self) -> FirstRide:
+    def first_success(self) -> FirstSuccess:
         """As of a learner (``edtorch.report.statistics``)."""
         if self.first is None:
-            return FirstRide(False, self.falls, self.seconds, 0)
+            return FirstSuccess(False, self.falls, self.seconds, 0)
         falls, seconds = self.first
-        return FirstRide(True, falls, seconds, self.falls - falls)
+        return FirstSuccess(True, falls, seconds, self.falls - falls)
 
     def within(self, budget: Budget) -> bool:
         """Whether the seed may go on."""

@@ -8,7 +8,6 @@ and how they go, depends on the seed and on the policy's number alone.
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -123,16 +122,15 @@ class SearchResult:
         ran = outcome != int(Outcome.RUNNING)
         steps = int(self.ticks[: place + 1].sum())
         own = outcome[-1][ran[-1]]
-        lengths = self.measures.get("path_length_m")
         return Checkpoint(
             seconds=steps * dt,
             episodes=int(ran.sum()),
-            falls=int((outcome == int(Outcome.FAILED)).sum()),
+            failures=int((outcome == int(Outcome.FAILED)).sum()),
             cpu_s=steps * cpu_s_per_step,
             tried=len(own),
-            fall_rate=float((own == int(Outcome.FAILED)).double().mean()),
+            failure_rate=float((own == int(Outcome.FAILED)).double().mean()),
             goal_rate=float((own == int(Outcome.SUCCEEDED)).double().mean()),
-            path_length_m=math.nan if lengths is None else float(lengths[place]),
+            measures={name: float(values[place]) for name, values in self.measures.items()},
         )
 
     def history(self, dt: float, cpu_s_per_step: float) -> list[Checkpoint]:
@@ -313,9 +311,7 @@ class Shard:
         key = episode_key(self.seed, result.policy[place], run)
         numbers = uniform(key, torch.zeros_like(run), self.world.uniforms)
         seconds = result.ticks[place, run].to(torch.float64) * self.world.dt
-        found = {"goal_time_s": seconds} | self.world.sim.measures(
-            self.world.initial(numbers), final, seconds
-        )
+        found = self.world.sim.measures(self.world.initial(numbers), final, seconds)
         means: dict[str, Tensor] = {}
         for name, figures in found.items():
             sums = torch.zeros(len(result.policy), dtype=torch.float64)

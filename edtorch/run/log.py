@@ -17,6 +17,7 @@ from rich.live import Live
 from rich.text import Text
 
 from edtorch.run.episodes import Episode, Snapshot
+from sims.base import DEFAULT_WORDS, Words
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
@@ -54,8 +55,9 @@ def median(values: Sequence[float]) -> float:
 
 
 class CsvSink:
-    """``metrics.csv``: a row per learner and snapshot; ``episodes.csv``: a row per episode, with
-    those of the sim's own measures that are asked for."""
+    """``metrics.csv``: a row per learner and snapshot, failures and successes in the words of the
+    domain; ``episodes.csv``: a row per episode, with its return, whether it was a success, and the
+    sim's own ``measures``; empty where there is none."""
 
     METRICS = (
         "active",
@@ -69,16 +71,19 @@ class CsvSink:
         "policy_norm",
     )
 
-    def __init__(self, folder: Path, measures: Sequence[str] = ()) -> None:
+    def __init__(
+        self, folder: Path, measures: Sequence[str] = (), words: Words = DEFAULT_WORDS
+    ) -> None:
         self._measures = list(measures)
         self._metrics_file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
         self._episodes_file = (folder / "episodes.csv").open("w", newline="", encoding="utf-8")
         self._metrics = csv.writer(self._metrics_file)
         self._episodes = csv.writer(self._episodes_file)
-        self._metrics.writerow(("seconds", "seed", *self.METRICS, "value_error_estimate"))
-        self._episodes.writerow(
-            ("seed", "episode", "start_s", "seconds", "outcome", *self._measures)
-        )
+        named = {"falls": words.failures, "rides": words.successes}
+        metrics = [named.get(name, name) for name in self.METRICS]
+        self._metrics.writerow(("seconds", "seed", *metrics, "value_error_estimate"))
+        columns = ("seed", "episode", "start_s", "seconds", "outcome", "return", "success")
+        self._episodes.writerow((*columns, *self._measures))
 
     def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
         """Append the rows."""
@@ -94,6 +99,8 @@ class CsvSink:
                     f"{e.start:.6g}",
                     f"{e.seconds:.6g}",
                     e.outcome.name.lower(),
+                    _plain(e.total_reward),
+                    "" if e.success is None else int(e.success),
                     *(_plain(e.measures[name]) for name in self._measures),
                 )
             )
@@ -115,7 +122,8 @@ def _plain(value: float | bool) -> str | int:
 class TensorBoardSink:
     """Scalars by simulated seconds, over the population: median, and extremes where they tell."""
 
-    def __init__(self, folder: Path, config_text: str) -> None:
+    def __init__(self, folder: Path, config_text: str, words: Words = DEFAULT_WORDS) -> None:
+        self._words = words
         self.writer = summary_writer(folder)
         self.writer.add_text("config", f"```yaml\n{config_text}\n```")
 
@@ -131,8 +139,9 @@ class TensorBoardSink:
         }
         if snapshot.value_error is not None:
             scalars["learning/value error estimate"] = median(snapshot.value_error)
-        for name in ("falls", "rides"):
-            counts = [float(v) for v in getattr(snapshot, name)]
+        words = self._words
+        for name, numbers in ((words.failures, snapshot.falls), (words.successes, snapshot.rides)):
+            counts = [float(v) for v in numbers]
             scalars |= {
                 f"{name}/median": median(counts),
                 f"{name}/min": min(counts),
@@ -143,6 +152,7 @@ class TensorBoardSink:
             scalars |= {
                 "episodes/seconds_median": median(lengths),
                 "episodes/seconds_max": max(lengths),
+                "episodes/return": median([e.total_reward for e in episodes]),
             }
             for measure in episodes[0].measures:
                 scalars[f"episodes/{measure}"] = median([e.measures[measure] for e in episodes])
@@ -154,7 +164,7 @@ class TensorBoardSink:
         """Median and extremes over the seeds of each figure (``edtorch.report.statistics``)."""
         for name, spread in figures.items():
             for part in ("median", "min", "max"):
-                if spread[part] is not None:
+                if spread.get(part) is not None:
                     self.writer.add_scalar(f"{group}/{name}_{part}", spread[part], step)
 
     def hparams(self, settings: dict[str, str | float | bool], results: dict[str, float]) -> None:
@@ -177,8 +187,9 @@ class TensorBoardSink:
 class ConsoleSink:
     """One live line on a terminal; elsewhere a line every ``quiet`` wall seconds."""
 
-    def __init__(self, console: Console, quiet: float = 10.0) -> None:
+    def __init__(self, console: Console, quiet: float = 10.0, words: Words = DEFAULT_WORDS) -> None:
         self._console = console
+        self._words = words
         self._quiet = quiet
         self._last_printed = -math.inf  # the first line at once
         self._last_seconds, self._last_time = 0.0, time.monotonic()
@@ -193,8 +204,9 @@ class ConsoleSink:
         speed = (snapshot.seconds - self._last_seconds) / max(now - self._last_time, 1e-9)
         self._last_seconds, self._last_time = snapshot.seconds, now
         line = (
-            f"{snapshot.seconds:6.0f} s  falls {_spread(snapshot.falls)}  "
-            f"rides {_spread(snapshot.rides)}  value {median(snapshot.value):.3g}  "
+            f"{snapshot.seconds:6.0f} s  {self._words.failures} {_spread(snapshot.falls)}  "
+            f"{self._words.successes} {_spread(snapshot.rides)}  "
+            f"value {median(snapshot.value):.3g}  "
             f"{sum(snapshot.active)}/{len(snapshot.seeds)} learning  {speed:.0f} s per s"
         )
         if self._live is not None:

@@ -48,8 +48,11 @@ GOAL = (1000.0, 0.0)
 """Where the bicycle is to go, m; it starts with its back tyre at the origin."""
 
 GOAL_RATE = Measure("goal_rate", "share that reaches the goal", "", "higher")
-GOAL_TIME = Measure("goal_time_s", "time to the goal", "s", "lower", successes=True)
+GOAL_TIME = Measure(
+    "goal_time_s", "time to the goal", "s", "lower", successes=True, pooled="goal_time_all_s"
+)
 PATH_LENGTH = Measure("path_length_m", "length of path", "m", "lower", successes=True)
+WORDS = Words("fall", "falls", "ride", "rides", "fell", "rode")
 
 HANDLEBAR_FIRST = ("handlebar", "handlebar_rate", "lean", "lean_rate", "angle_to_goal")
 """The order of features in the older literature; for use with ``sims.base.spec_index``."""
@@ -330,7 +333,7 @@ class Bicycle:
                 PATH_LENGTH,
                 Measure("shortest_time_s", "shortest possible time", "s", successes=True),
             ),
-            words=Words("fall", "falls", "ride", "rides"),
+            words=WORDS,
             survival=True,
             shortest="shortest_time_s",
         )

@@ -50,6 +50,17 @@ _UNIT = ("rad",) * 6 + ("m",) + ("rad/s",) * 6 + ("m/s",) + ("rad",) * 5
 _RATE_OF = dict(zip(_STATE[7:14], _POSITIONS, strict=True))
 
 
+MEASURES = (
+    Measure(
+        "joint_error_rad", "error of the joints", "rad", "lower", median="joint_error_median_rad"
+    ),
+    Measure("joint_speed_rad_s", "speed of the joints", "rad/s", "lower"),
+    Measure("wrist_error_cm", "distance of the wrist", "cm", "lower"),
+    Measure("level_error_deg", "slant of the hand", "degrees", "lower"),
+)
+WORDS = Words("crash", "crashes", "reach", "reaches", "crashed", "reached")
+
+
 class Trouble(IntEnum):
     """What ended an episode before its time, beside a joint stop and the tilt."""
 
@@ -180,19 +191,8 @@ class Cardea:
             headline="shoulder_pitch",
             goal=_STATE[_GOAL],
             tracked=_STATE[_Q],
-            measures=(
-                Measure(
-                    "joint_error_rad",
-                    "error of the joints",
-                    "rad",
-                    "lower",
-                    median="joint_error_median_rad",
-                ),
-                Measure("joint_speed_rad_s", "speed of the joints", "rad/s", "lower"),
-                Measure("wrist_error_cm", "distance of the wrist", "cm", "lower"),
-                Measure("level_error_deg", "slant of the hand", "degrees", "lower"),
-            ),
-            words=Words("crash", "crashes", "reach", "reaches"),
+            measures=MEASURES,
+            words=WORDS,
             survival=False,
         )
 

@@ -61,14 +61,17 @@ def test_the_committed_results(command: Command, workplace: Path) -> None:
     assert (paper["name"], len(paper["seeds"])) == ("bicycle_paper", 20)
     assert (better["name"], len(better["seeds"])) == ("bicycle_squared", 24)
     for group, median, most in ((paper, 30, 38), (better, 5, 7)):
-        falls = group["quantities"]["falls_before_first_ride"]
+        falls = group["quantities"]["failures_before_first_success"]
         assert round(falls["median"]["value"]) == median
         assert falls["max"] == most
         assert falls["median"]["low"] <= falls["median"]["value"] <= falls["median"]["high"]
-        assert group["shares"]["zero_fall_rate"]["count"] == 0
-    difference = better["quantities"]["falls_before_first_ride"]["difference"]
+        assert group["shares"]["zero_failure_rate"]["count"] == 0
+    before = better["quantities"]["failures_before_first_success"]
+    difference = before["difference"]
     assert difference["low"] < difference["value"] < difference["high"] < -15
-    better_at_it = better["quantities"]["falls_before_first_ride"]["probability_of_improvement"]
+    better_at_it = better["quantities"]["failures_before_first_success"][
+        "probability_of_improvement"
+    ]
     assert better_at_it["value"] == 1
     with Image.open(workplace / "report" / "bicycle_learners_seeds.png") as picture:
         assert picture.width > 800

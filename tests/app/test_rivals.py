@@ -74,12 +74,12 @@ def test_milestones_are_where_the_policies_became_good(folder: Path) -> None:
     summary = _json(folder / "summary.json")
     stable = summary["milestones"]["stable"]
     assert stable["seconds"]["per_seed"] == [6, 8, 10]
-    assert stable["falls"]["per_seed"] == [3, 4, 5]
+    assert stable["failures"]["per_seed"] == [3, 4, 5]
     assert stable["never"] == []
-    assert summary["milestones"]["goal"]["never"] == [5, 6, 7]  # the domain has none
-    assert summary["falls_before_first_ride"]["per_seed"] == [6, 6, 6]
+    assert "goal" not in summary["milestones"]  # the domain has none
+    assert summary["failures_before_first_success"]["per_seed"] == [6, 6, 6]
     assert summary["simulated_seconds"] == [12, 12, 12]
-    assert summary["fall_rate"]["per_seed"] == [0, 0, 0]
+    assert summary["failure_rate"]["per_seed"] == [0, 0, 0]
     assert len(summary["checkpoints"]) == 6
 
 
@@ -88,7 +88,7 @@ def test_the_metrics_are_the_checkpoints(folder: Path) -> None:
         rows = list(csv.DictReader(file))
     assert len(rows) == 18
     own = [row for row in rows if row["seed"] == "6"]
-    assert [float(row["fall_rate"]) for row in own] == [1, 1, 1, 0, 0, 0]
+    assert [float(row["failure_rate"]) for row in own] == [1, 1, 1, 0, 0, 0]
 
 
 def test_budgets_and_milestones_end_a_seed(command: Command, workplace: Path) -> None:

@@ -179,18 +179,20 @@ def test_the_checkpoint_is_the_last_tick(finished: Path) -> None:
 
 
 def test_without_evaluation_and_on_a_world_without_paths(command: Command, workplace: Path) -> None:
-    """No evaluation, no path length: nulls; every episode of the linear system is a ride."""
+    """No evaluation: nulls; every episode of the linear system is a success."""
     result = command(
         "edtorch-train", *LINEAR, "seeds=2", "train.rides=2", "eval.episodes=0", "hydra.run.dir=x"
     )
     assert result.status == 0, result.err
     summary = _json(workplace / "x" / "summary.json")
-    assert summary["goal_rate"]["median"] is None
-    assert summary["path_length_m"]["per_seed"] == [None, None]
-    assert summary["falls_before_first_ride"]["per_seed"] == [0, 0]
-    assert summary["seconds_before_first_ride"]["per_seed"] == [0, 0]
-    assert summary["never_rode"] == []
-    assert not (workplace / "x" / "ride.webp").exists()
+    assert summary["failure_rate"]["median"] is None and "return" not in summary
+    assert summary["final_size"]["per_seed"] == [None, None]
+    assert summary["failures_before_first_success"]["per_seed"] == [0, 0]
+    assert summary["seconds_before_first_success"]["per_seed"] == [0, 0]
+    assert summary["never_succeeded"] == []
+    assert max(summary["training"]["return"]["per_seed"]) < 0
+    assert not any("ride" in key or "fall" in key or "goal" in key for key in summary)
+    assert not (workplace / "x" / "success.webp").exists()
     assert (workplace / "x" / "learning_curve.png").exists()
 
 
@@ -290,7 +292,7 @@ def test_evaluation_of_a_run(
     (path,) = (workplace / "r").glob("eval_*.json")
     assert _json(path)["domain"] == {"noise": 0.0}
     assert _json(path)["episode_s"] != before["episode_s"]
-    assert "goal rate" in result.out
+    assert "fall rate" in " ".join(result.out.split())
     path.unlink()
     policy = f"policy={finished / 'policy.safetensors'}"
     assert command("edtorch-eval", "run=r", "episodes=2", policy).status == 0

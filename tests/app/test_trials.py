@@ -9,6 +9,7 @@ import pytest
 from edtorch.app.trials import SCREENING, Paid, Trials
 from edtorch.run.episodes import Episode
 from sims.base import Outcome
+from sims.bicycle.bicycle import PATH_LENGTH
 
 FELL, RODE, ARRIVED = Outcome.FAILED, Outcome.TIMED_OUT, Outcome.SUCCEEDED
 
@@ -32,19 +33,19 @@ class World:
 
 
 def paid(row: int) -> Paid:
-    return Paid(seconds=10.0 * row, episodes=row + 1, falls=row, cpu_s=0.5)
+    return Paid(seconds=10.0 * row, episodes=row + 1, failures=row, cpu_s=0.5)
 
 
 def test_a_fall_in_the_screening_is_no_stable_policy_and_costs_no_more() -> None:
     world = World([FELL] * 5, [ARRIVED] * 5, [RODE, RODE, FELL, ARRIVED, ARRIVED])
-    trials = Trials(3, 5, world.fresh)
+    trials = Trials(3, 5, world.fresh, [PATH_LENGTH])
     found = trials.run([0, 1, 2], paid)
     assert world.asked == [([0, 1, 2], SCREENING), ([1, 2], 5)]
     assert [found[row].tried for row in range(3)] == [SCREENING, 5, 5]
     assert [found[row].stable for row in range(3)] == [False, True, False]
-    assert found[2].fall_rate == pytest.approx(0.2) and found[2].goal_rate == pytest.approx(0.4)
-    assert found[1].path_length_m == pytest.approx(12.0)
-    assert (found[2].seconds, found[2].episodes, found[2].falls) == (20.0, 3, 2)
+    assert found[2].failure_rate == pytest.approx(0.2) and found[2].goal_rate == pytest.approx(0.4)
+    assert found[1].measures["path_length_m"] == pytest.approx(12.0)
+    assert (found[2].seconds, found[2].episodes, found[2].failures) == (20.0, 3, 2)
     assert trials.reached("stable") == trials.reached("goal") == [False, True, False]
     complete = trials.complete()
     assert world.asked[-1] == ([0], 5)

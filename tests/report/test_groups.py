@@ -42,7 +42,7 @@ def test_seeds_of_one_configuration_are_pooled(tmp_path: Path) -> None:
     (group,) = section.groups
     assert left_out == []
     assert group.seeds == [0, 1, 2, 10, 11]
-    assert group.per_seed("falls_before_first_ride") == [7, 8, 9, 5, 6]
+    assert group.per_seed("failures_before_first_success") == [7, 8, 9, 5, 6]
 
 
 def test_a_folder_of_runs_gives_its_name_to_their_group(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ class TestOverlap:
         (section,), (named,) = _sections(tmp_path)
         (group,) = section.groups
         assert group.seeds == [0, 1, 2, 3]
-        assert group.per_seed("falls_before_first_ride") == [5, 6, 7, 8]
+        assert group.per_seed("failures_before_first_success") == [5, 6, 7, 8]
         assert named.path == tmp_path / "b"
         assert named.why == f"seed 2: counted once, from {tmp_path / 'a'} (other figures)"
 

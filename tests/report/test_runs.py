@@ -89,11 +89,11 @@ BROKEN = {
     "a seed twice": (_edit("summary.json", lambda s: s.update(seeds=[1, 1])), r"seeds: expected"),
     "no falls": (
         _edit("summary.json", lambda s: s.pop("falls_before_first_ride")),
-        r"falls_before_first_ride\.per_seed: expected a number per seed",
+        r"failures_before_first_success\.per_seed: expected a number per seed",
     ),
     "falls unknown": (
         _edit("summary.json", lambda s: s["falls_before_first_ride"].update(per_seed=[1, None])),
-        r"falls_before_first_ride\.per_seed: expected a number per seed",
+        r"failures_before_first_success\.per_seed: expected a number per seed",
     ),
     "a seed short": (
         _edit("summary.json", lambda s: s["goal_rate"].update(per_seed=[1.0])),
@@ -105,7 +105,7 @@ BROKEN = {
     ),
     "a stranger never rode": (
         _edit("summary.json", lambda s: s.update(never_rode=[99])),
-        r"never_rode: expected some of its seeds",
+        r"never_succeeded: expected some of its seeds",
     ),
     "an evaluation a seed short": (
         _edit(

@@ -6,26 +6,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edtorch.report.statistics import first_ride
+from edtorch.report.statistics import first_success
 from edtorch.rivals.ledger import Account
-from edtorch.run.episodes import Budget, Episode
+from edtorch.run.episodes import RIDES, Budget, Episode
 from sims.base import Outcome
 
 ENDS = st.lists(st.tuples(st.sampled_from(list(Outcome)[1:]), st.integers(1, 1000)), max_size=8)
 
 
 @given(ENDS, st.integers(0, 100))
-def test_the_first_ride_is_that_of_the_learners_records(
+def test_the_first_success_is_that_of_the_learners_records(
     ends: list[tuple[Outcome, int]], more: int
 ) -> None:
     """The second way: episodes kept, and looked through in the end."""
     account, kept, start = Account(), [], 0.0
     for number, (outcome, seconds) in enumerate(ends):
         account.add(outcome, seconds)
-        kept.append(Episode(0, number, start, seconds, outcome, {}))
+        kept.append(Episode(0, number, start, seconds, outcome, {}, success=outcome in RIDES))
         start += seconds
     account.spend(more)
-    assert account.first_ride == first_ride(kept, start + more)
+    assert account.first_success == first_success(kept, start + more)
     assert account.episodes == len(ends)
     assert account.falls == sum(outcome is Outcome.FAILED for outcome, _ in ends)
     assert account.seconds == start + more
@@ -35,7 +35,7 @@ def test_an_episode_cut_off_is_neither_fall_nor_ride() -> None:
     account = Account()
     account.add(Outcome.RUNNING, 0.2)
     assert (account.episodes, account.falls, account.rides) == (1, 0, 0)
-    assert not account.first_ride.rode
+    assert not account.first_success.succeeded
 
 
 @pytest.mark.parametrize(

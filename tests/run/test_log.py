@@ -7,6 +7,7 @@ import io
 import logging
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from edtorch.run.episodes import Episode, Snapshot
 from edtorch.run.log import ConsoleSink, CsvSink, StderrHandler, TensorBoardSink, median
-from sims.base import Outcome
+from sims.base import Outcome, Words
 
 NAN = math.nan
 
@@ -36,7 +37,8 @@ def _snapshot(seconds: float = 5.0, value: tuple[float, float] = (-1.5, NAN)) ->
     )
 
 
-EPISODE = Episode(0, 2, 1.25, 3.5, Outcome.FAILED, {})
+EPISODE = Episode(0, 2, 1.25, 3.5, Outcome.FAILED, {"size": 0.5}, total_reward=-7.25, success=False)
+WORDS = Words("fall", "falls", "ride", "rides")
 
 
 def test_median_of_what_is_a_number() -> None:
@@ -45,8 +47,9 @@ def test_median_of_what_is_a_number() -> None:
 
 
 def test_csv(tmp_path: Path) -> None:
-    sink = CsvSink(tmp_path)
-    sink.write(_snapshot(), [EPISODE])
+    sink = CsvSink(tmp_path, ["size"], WORDS)
+    unknown = replace(EPISODE, total_reward=NAN, success=None, measures={"size": NAN})
+    sink.write(_snapshot(), [EPISODE, unknown])
     sink.write(_snapshot(10.0), [])
     # Readable while the run goes on.
     with (tmp_path / "metrics.csv").open(newline="") as file:
@@ -62,14 +65,17 @@ def test_csv(tmp_path: Path) -> None:
     ]
     assert float(rows[0]["value"]) == -1.5
     assert rows[1]["value"] == ""
-    assert (rows[0]["active"], rows[1]["active"], rows[0]["falls"]) == ("1", "0", "2")
+    assert (rows[0]["active"], rows[1]["active"]) == ("1", "0")
+    assert (rows[0]["falls"], rows[0]["rides"]) == ("2", "1")
+    always = {"seed": "7", "episode": "2", "start_s": "1.25", "seconds": "3.5", "outcome": "failed"}
     assert episodes == [
-        {"seed": "7", "episode": "2", "start_s": "1.25", "seconds": "3.5", "outcome": "failed"}
+        always | {"return": "-7.25", "success": "0", "size": "0.5"},
+        always | {"return": "", "success": "", "size": ""},
     ]
 
 
 def test_tensorboard(tmp_path: Path) -> None:
-    sink = TensorBoardSink(tmp_path, "noise:\n  exploration: 0.05\n")
+    sink = TensorBoardSink(tmp_path, "noise:\n  exploration: 0.05\n", WORDS)
     sink.write(_snapshot(5.0), [EPISODE])
     sink.write(_snapshot(10.0, (NAN, NAN)), [])
     sink.hparams({"step.alpha": 0.1, "debug": False, "model": "m"}, {"summary/falls": 4.0})
@@ -82,6 +88,7 @@ def test_tensorboard(tmp_path: Path) -> None:
     assert [e.value for e in board.Scalars("rides/max")] == [1, 1]
     assert [e.value for e in board.Scalars("population/active")] == [1, 1]
     assert [(e.step, e.value) for e in board.Scalars("episodes/seconds_max")] == [(5, 3.5)]
+    assert [(e.step, e.value) for e in board.Scalars("episodes/return")] == [(5, -7.25)]
     assert [e.value for e in board.Scalars("summary/falls")] == [4.0]
     text = board.Tensors("config/text_summary")[0].tensor_proto.string_val[0].decode()
     assert "exploration: 0.05" in text
@@ -108,8 +115,9 @@ def test_console_elsewhere_is_whole_plain_lines() -> None:
     sink.close()
     lines = _written(console).splitlines()
     assert len(lines) == 2
+    counts = r"failures 1\.5 \[1, 2\]  successes 0\.5 \[0, 1\]"
     assert re.fullmatch(
-        r" +10 s  falls 1\.5 \[1, 2\]  rides 0\.5 \[0, 1\]  value -1\.5  1/2 learning  \d+ s per s",
+        rf" +10 s  {counts}  value -1\.5  1/2 learning  \d+ s per s",
         lines[1],
     )
 
@@ -142,7 +150,7 @@ def test_console_on_a_terminal_is_one_line(monkeypatch: pytest.MonkeyPatch) -> N
     screen = _screen(_written(console))
     assert screen == ["something odd"]
     visible = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", _written(console))
-    shown = [line for line in re.split(r"[\r\n]+", visible) if "falls" in line]
+    shown = [line for line in re.split(r"[\r\n]+", visible) if "failures" in line]
     assert len(shown) >= 2
     assert all(len(line.rstrip()) <= 40 and line.rstrip().endswith("…") for line in shown)
 

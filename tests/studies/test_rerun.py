@@ -173,7 +173,7 @@ def _search(folder: Path, goal: int, stable: int, distance: float) -> Path:
         "seed": 1,
         "goal": {"count": goal, "total": total},
         "stable_not_to_the_goal": {"count": stable, "total": total},
-        "distance_m": distance,
+        "median_of_goal_policies": {"path_length_m": distance},
         "wall_s": 100.0,
         "cpu_s": 110.0,
         "command": "edtorch-train experiment=footnote1",

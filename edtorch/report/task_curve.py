@@ -9,12 +9,14 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from edtorch.report.domain import Domain
 from edtorch.run.episodes import Episode
 from sims.base import Outcome
 
-PANELS = (("joint_error_rad", "error of the joints, rad"), ("joint_speed_rad_s", "speed, rad/s"))
-"""Measures that are shown, with the labels of their axes."""
 COLOURS = ("#2a6fb3", "#b3402a", "#3d8c4f", "#8a5ab3")
+PANELS = 2
+"""So many of the measures that a domain declares first are shown."""
+FAILURES = "failure_rate"
 
 
 @dataclass(frozen=True)
@@ -27,10 +29,10 @@ class Curve:
 
 
 def curve(episodes: Sequence[Episode], rows: int, spans: int, measure: str) -> Curve:
-    """That of a measure, or of the share of crashes, ``measure="crash_rate"``."""
+    """That of a measure, or of the share of episodes that failed, ``FAILURES``."""
     ends = np.array([e.start + e.seconds for e in episodes])
     owners = np.array([e.row for e in episodes])
-    if measure == "crash_rate":
+    if measure == FAILURES:
         values = np.array([float(e.outcome is Outcome.FAILED) for e in episodes])
     else:
         values = np.array([e.measures[measure] for e in episodes])
@@ -47,34 +49,41 @@ def curve(episodes: Sequence[Episode], rows: int, spans: int, measure: str) -> C
     return Curve((0.5 * (edges[1:] + edges[:-1]))[filled], quartiles)
 
 
-def reaching_curve(
-    runs: Mapping[str, tuple[Sequence[Episode], int]], title: str, seconds_a_span: float = 20.0
+def task_curve(
+    runs: Mapping[str, tuple[Sequence[Episode], int]],
+    domain: Domain,
+    title: str,
+    seconds_a_span: float = 20.0,
 ) -> Figure:
-    """Error and speed at the ends of the episodes, and the share of crashes, against time.
+    """The domain's first measures at the ends of the episodes, and the share that failed, against
+    time.
 
     runs: by name, the finished episodes of a population and its size.  Lines are medians over the
     seeds, bands their quartiles.
     """
-    figure = Figure(figsize=(8, 9), layout="constrained")
+    shown = domain.measures[:PANELS]
+    names = [*(measure.name for measure in shown), FAILURES]
+    figure = Figure(figsize=(8, 3 * len(names)), layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(3, 1, sharex=True)
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     for (name, (episodes, rows)), colour in zip(runs.items(), COLOURS, strict=False):
         last = max((e.start + e.seconds for e in episodes), default=0.0)
         if last == 0:
             continue
         spans = max(1, min(120, round(last / seconds_a_span)))
-        for axes, (measure, _) in zip(panels, (*PANELS, ("crash_rate", "")), strict=True):
+        for axes, measure in zip(panels, names, strict=True):
             found = curve(episodes, rows, spans, measure)
             low, middle, high = found.quartiles
             minutes = found.seconds / 60
             axes.fill_between(minutes, low, high, color=colour, alpha=0.2, linewidth=0)
             axes.plot(minutes, middle, color=colour, linewidth=1.4, label=name)
-    for axes, (_, label) in zip(panels, PANELS, strict=False):
-        axes.set_yscale("log")
-        axes.set_ylabel(label)
-    panels[2].set_ylabel("share of crashes")
-    panels[2].set_ylim(-0.02, 1.02)
-    panels[2].set_xlabel("simulated training time, min")
+    for axes, measure in zip(panels, shown, strict=False):
+        if all((line.get_ydata() > 0).all() for line in axes.lines):
+            axes.set_yscale("log")
+        axes.set_ylabel(measure.with_unit)
+    panels[-1].set_ylabel(f"share of {domain.words.failures}")
+    panels[-1].set_ylim(-0.02, 1.02)
+    panels[-1].set_xlabel("simulated training time, min")
     for axes in panels:
         axes.grid(alpha=0.25)
         axes.set_xlim(left=0)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from edtorch.report.reaching import curve, reaching_curve
-from edtorch.report.statistics import goal_figures
+from edtorch.report.domain import Domain
+from edtorch.report.task_curve import FAILURES, curve, task_curve
 from edtorch.run.episodes import Episode
-from sims.base import Outcome
+from sims.base import Measure, Outcome, Words
 
+ARM = Domain(
+    "arm",
+    Words("crash", "crashes"),
+    (Measure("joint_error_rad", "error", "rad"), Measure("joint_speed_rad_s", "speed", "rad/s")),
+)
 DONE, FELL = Outcome.SUCCEEDED, Outcome.FAILED
 
 
@@ -31,22 +36,16 @@ def test_quartiles_over_the_seeds_of_their_means() -> None:
     # Means of the first span: .3, .5, .7; of the second, where seed 2 has none: .1, .3.
     assert found.quartiles[:, 0].round(12).tolist() == [0.4, 0.5, 0.6]
     assert found.quartiles[:, 1].round(12).tolist() == [0.15, 0.2, 0.25]
-    crashes = curve(EPISODES, 3, 2, "crash_rate")
+    crashes = curve(EPISODES, 3, 2, FAILURES)
     assert crashes.quartiles[1].tolist() == [0.0, 0.0]
     assert crashes.quartiles[2].tolist() == [0.25, 0.0]
 
 
 def test_three_panels_and_a_legend_for_several_runs() -> None:
-    figure = reaching_curve({"a": (EPISODES, 3), "b": (EPISODES, 3), "none": ([], 1)}, "title")
+    runs = {"a": (EPISODES, 3), "b": (EPISODES, 3), "none": ([], 1)}
+    figure = task_curve(runs, ARM, "title")
     assert [len(axes.lines) for axes in figure.axes] == [2, 2, 2]
     assert figure.axes[0].get_legend() is not None
-
-
-def test_figures_of_fresh_episodes() -> None:
-    own = [_episode(0, 0.0, e) for e in (0.1, 0.2, 0.6)] + [_episode(0, 0.0, 1.1, FELL)]
-    figures = goal_figures([own, own[:1]])
-    assert figures["joint_error_rad"]["per_seed"] == [0.5, 0.1]
-    assert figures["joint_error_median_rad"]["per_seed"] == [0.4, 0.1]
-    assert figures["joint_speed_rad_s"]["max"] == 1.0
-    assert figures["crash_rate"]["per_seed"] == [0.25, 0.0]
-    assert figures["success_rate"]["min"] == 0.75
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert labels == ["error, rad", "speed, rad/s", "share of crashes"]
+    assert [axes.get_yscale() for axes in figure.axes] == ["log", "log", "linear"]
