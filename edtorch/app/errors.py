@@ -161,8 +161,17 @@ def _message(error: BaseException) -> str:
     return _odd_choice(error) if isinstance(error, ValueError) else one_line(error)
 
 
+def find_here() -> None:
+    """Let a ``_target_`` name modules of the current folder.  It comes last on the path, so that
+    nothing in it hides anything else."""
+    here = os.getcwd()
+    if here not in sys.path:
+        sys.path.append(here)
+
+
 def guarded(command: str, run: Callable[[], None]) -> int:
     """Run a command; report what goes wrong as one line on stderr and as the exit status."""
+    find_here()
     FootprintCallback.footprint = None
     try:
         with _errors_unchanged():
