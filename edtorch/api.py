@@ -16,11 +16,11 @@ from typing import Any
 import gymnasium
 import torch
 from rich.console import Console
+from torch import nn
 
 from edtorch.app.arguments import (
     World,
     budget_overrides,
-    check_reward,
     domain_of,
     in_arguments,
     reward_of,
@@ -42,6 +42,9 @@ from sims.base import Sim
 
 logger = logging.getLogger("edtorch")
 
+GRADIENT = ("unroll.direction=gradient", "step=decaying")
+"""What the preset ``regulation`` does otherwise with a reward or a policy of one's own."""
+
 Env = str | gymnasium.Env[Any, Any] | Callable[[], gymnasium.Env[Any, Any]] | Sim
 Reward = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
@@ -53,6 +56,7 @@ def learn(
     target: Mapping[str, float] | None = None,
     weights: Mapping[str, float] | None = None,
     reward: Reward | None = None,
+    policy: nn.Module | None = None,
     seconds: float | None = None,
     episodes: int | None = None,
     seeds: int = 1,
@@ -82,6 +86,9 @@ def learn(
       wanted at zero.  ``weights``: of squared deviations by component, and of squared actions.
     - ``reward``: instead of both, a function or module of torch tensors in physical units: states
       ``[*batch, n]`` and actions ``[*batch, m]`` to ``[*batch]``.
+    - ``policy``: a module from scaled states to scaled actions instead of a linear policy.  With
+      it, or with a reward, the preset ``regulation`` climbs the value's gradient: Riccati's
+      direction is for linear policies and quadratic rewards.
     - ``seconds``, ``episodes``: the budget of each learner, simulated; the preset's if neither is
       given.
     - ``dt``: seconds per step, where the environment does not state them; ``time_limit``: of an
@@ -97,6 +104,7 @@ def learn(
     world = World(dt, time_limit, names, action_names, angles, rates, scale)
     stop, began = Stop(), time.monotonic()
     console = Console(quiet=not progress)
+    own = reward is not None or policy is not None
     with _refusing():
         config = compose(
             [
@@ -105,11 +113,14 @@ def learn(
                 f"seeds={seeds}",
                 f"log.progress={str(progress).lower()}",
                 *budget_overrides(seconds, episodes),
+                *(GRADIENT if own and preset == "regulation" else ()),
                 *overrides,
             ]
         )
         config = _with_world(config, env, world, target)
         config = _with_reward(config, env, target, weights, reward)
+        if policy is not None:
+            config = with_objects(config, {"policy": {"given": Given(policy)}})
         _check_copies(config, seeds)
         setup = build(config)
         spec, chosen = setup.world.spec, seconds is not None or episodes is not None
@@ -146,12 +157,14 @@ def load(
     *,
     env: Env | None = None,
     reward: Reward | None = None,
+    policy: nn.Module | None = None,
     trust: bool | Sequence[str] = False,
 ) -> Run:
     """The run in a folder that ``Run.save`` or ``edtorch-train`` has written.
 
-    Only numbers, text and settings are read, nothing is unpickled.  ``env`` and ``reward`` replace
-    those of the run; they must be given where the run was given objects that have no importable
+    Only numbers, text and settings are read, nothing is unpickled.  ``env``, ``reward`` and
+    ``policy`` (untrained, for its shape) replace those of the run; they
+    must be given where the run was given objects that have no importable
     name (lambdas, classes of a script).  ``trust``: names of packages other than edtorch's that
     the settings may import code from, True for any.  Raises ValueError with one line.
     """
@@ -161,7 +174,9 @@ def load(
         if env is not None:
             content = _replaced_env(content, env)
         if reward is not None:
-            content = with_objects(content, {"reward": _reward_node(reward)})
+            content = with_objects(content, {"reward": {"given": Given(reward)}})
+        if policy is not None:
+            content = with_objects(content, {"policy": {"given": Given(policy)}})
         # Before the settings are checked, which imports the classes that they name.
         _check_trust(content, trust)
         config = as_settings(path, content)
@@ -256,16 +271,11 @@ def _with_reward(
         for name, value in (("target", target), ("weights", weights)):
             if value is not None:
                 raise ConfigError(f"{name}={value}: expected none with a reward of your own")
-        check_reward(reward, build_sim(config.domain).spec)
-        return with_objects(config, {"reward": _reward_node(reward)})
+        return with_objects(config, {"reward": {"given": Given(reward)}})
     if env is None and target is None and weights is None:
         return config
     node = reward_of(build_sim(config.domain), target, weights)
     return with_objects(config, {"reward": {**config.reward, **node}})
-
-
-def _reward_node(reward: Reward) -> dict[str, Any]:
-    return {"given": Given(reward)}
 
 
 def _check_copies(config: Settings, seeds: int) -> None:

@@ -9,8 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import torch
-
 from edtorch.app.errors import ConfigError
 from edtorch.app.given import Given
 from sims.angle_view import PERIODS
@@ -112,24 +110,23 @@ def _around(angles: Any, target: Mapping[str, float]) -> dict[str, Any]:
 def reward_of(
     sim: Sim, target: Mapping[str, float] | None, weights: Mapping[str, float] | None
 ) -> dict[str, Any]:
-    """The settings ``state``, ``action`` and ``target`` of the group ``reward``.
+    """Settings of the group ``reward``.
 
     Without a target all components are wanted at zero, each with weight 1 / scale^2; with one,
-    those that it names, and rates that it does not name have ``RATE_WEIGHT`` / scale^2;
-    actions have ``ACTION_WEIGHT`` / scale^2.
+    those that it names, and rates that it does not name have ``RATE_WEIGHT`` / scale^2.  Weights by
+    name replace these.
     """
     spec = sim.spec
     states, actions = ({q.name: q for q in group} for group in (spec.state, spec.action))
     for name, value in (target or {}).items():
         _check_target(name, value, states, spec)
     state: dict[str, float] = {}
-    for q in spec.state:
-        weight = 1.0 if target is None or q.name in target else 0.0
-        if target is not None and q.name not in target and q.rate_of:
-            weight = RATE_WEIGHT
-        if weight:
-            state[q.name] = weight / q.scale**2
-    action = {q.name: ACTION_WEIGHT / q.scale**2 for q in spec.action}
+    if target is not None:
+        rates = {q.name: q for q in spec.state if q.rate_of and q.name not in target}
+        state = {name: RATE_WEIGHT / q.scale**2 for name, q in rates.items()}
+    elif weights:
+        state = {q.name: 1 / q.scale**2 for q in spec.state}
+    action: dict[str, float] = {}
     for name, weight in (weights or {}).items():
         if name not in states and name not in actions:
             raise ConfigError(
@@ -137,7 +134,7 @@ def reward_of(
             )
         (state if name in states else action)[name] = float(weight)
     wanted = {name: float(value) for name, value in (target or {}).items()}
-    return {"state": state, "action": action} | ({"target": wanted} if wanted else {})
+    return {"by_scale": True, "state": state, "action": action, "target": wanted}
 
 
 def _check_target(name: str, value: Any, states: Mapping[str, Quantity], spec: Spec) -> None:
@@ -151,34 +148,6 @@ def _check_target(name: str, value: Any, states: Mapping[str, Quantity], spec: S
             f"target.{name}={value}: expected a value within the bounds of {spec.name}, [{q.low:g},"
             f" {q.high:g}]"
         )
-
-
-def check_reward(reward: Any, spec: Spec) -> None:
-    """Call a reward once on zeros, to see that it gives one number for each row."""
-    if not callable(reward):
-        raise ConfigError(f"reward={reward!r}: expected a function of states and actions")
-    n, m = len(spec.state), len(spec.action)
-    for batch in ((2,), (3, 2)):
-        states = torch.zeros(*batch, n, dtype=torch.float64)
-        actions = torch.zeros(*batch, m, dtype=torch.float64)
-        try:
-            found = reward(states, actions)
-        except Exception as error:
-            why = " ".join(f"{type(error).__name__}: {error}".split())
-            raise ConfigError(
-                f"reward: raised {why} for states {list(states.shape)} and actions"
-                f" {list(actions.shape)}"
-            ) from error
-        if not isinstance(found, torch.Tensor) or tuple(found.shape) != batch:
-            what = (
-                f"a tensor {list(found.shape)}"
-                if isinstance(found, torch.Tensor)
-                else f"a {type(found).__name__}"
-            )
-            raise ConfigError(
-                f"reward: gave {what} for states {list(states.shape)} and actions"
-                f" {list(actions.shape)}, expected a tensor {list(batch)}"
-            )
 
 
 def budget_overrides(seconds: float | None, episodes: int | None) -> list[str]:

@@ -80,7 +80,9 @@ def is_given(config: Any) -> bool:
 
 def given_part(group: str, config: Settings) -> Any:
     """The object; ConfigError where only its name is left."""
-    return argument(group, config.given if isinstance(config.given, Given) else config)
+    given = config.given
+    named = isinstance(given, Given | Mapping)
+    return argument(group, given if named else config)
 
 
 def construct(group: str, config: Any, *methods: str, **more: Any) -> Any:

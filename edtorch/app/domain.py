@@ -6,9 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from edtorch.app.construct import argument, construct
+from edtorch.app.construct import construct, given_part, is_given
 from edtorch.app.errors import ConfigError, unknown_key
-from edtorch.app.given import Given
 from edtorch.app.settings import Settings
 from edtorch.report.domain import Domain, ReturnOf, domain_of
 from edtorch.run.episodes import Episode
@@ -18,8 +17,8 @@ from sims.base import Rewarded, Sim
 
 def build_sim(config: Any) -> Sim:
     """The domain."""
-    if isinstance(config, Settings) and "given" in config:
-        return argument("domain", config.given if isinstance(config.given, Given) else config)
+    if is_given(config):
+        return given_part("domain", config)
     return construct("domain", config, "initial", "restart", "step", "observe", "outcome")
 
 

@@ -39,3 +39,9 @@ def test_own_simulator() -> None:
 @pytest.mark.oracle
 def test_population() -> None:
     assert example("population.py")["main"](seconds=1.0, seeds=2)
+
+
+@pytest.mark.oracle
+def test_own_reward_and_policy() -> None:
+    found = example("own_reward_and_policy.py")["main"](seconds=0.5, seeds=1)
+    assert len(found["return"]) == 1
