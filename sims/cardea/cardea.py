@@ -272,19 +272,19 @@ class Cardea:
 
         joint_error_rad, joint_speed_rad_s: means over the joints of |q - g| and |dq|.
         wrist_error_cm: distance of the wrist from where the goal has it, and level_error_deg: angle
-        of the hand from level, both in the body's frame.  lost, where there are workers: 1 for an
-        episode that ended because its processes died.
+        of the hand from level, both in the body's frame.
         """
         q, goal = final[..., _Q], final[..., _GOAL]
-        measures = {
+        return {
             "joint_error_rad": _joint_error(final),
             "joint_speed_rad_s": _joint_speed(final),
             "wrist_error_cm": 100 * (wrist(q) - wrist(goal)).square().sum(-1).sqrt(),
             "level_error_deg": slant(q).rad2deg(),
         }
-        if self.workers:
-            measures["lost"] = (final[..., _TROUBLE] == int(Trouble.LOST)).to(final.dtype)
-        return measures
+
+    def lost(self, state: Tensor) -> Tensor:
+        """Whether an episode ended because its worker processes died, bool ``[*batch]``."""
+        return state[..., _TROUBLE] == int(Trouble.LOST)
 
     def inverse_dynamics(self, state: Tensor, acceleration: Tensor) -> Tensor:
         """Torques ``[*batch, 5]``, N m, that give the joints ``acceleration`` ``[*batch, 5]``,

@@ -67,10 +67,10 @@ def test_cardea_goes_on_after_a_death() -> None:
     with pytest.warns(RuntimeWarning, match="worker process died"):
         again = shared.step(state, action, noise)
     assert torch.equal(again, expected)
-    assert shared.measures(state, again, again[:, 24])["lost"].tolist() == [0.0] * 5
+    assert shared.lost(again).tolist() == [False] * 5
     processes.close()
 
     lost = expected.clone()
     lost[1, 25] = int(Trouble.LOST)
     assert shared.outcome(lost)[1] == Outcome.FAILED
-    assert shared.measures(state, lost, lost[:, 24])["lost"].tolist() == [0, 1, 0, 0, 0]
+    assert shared.lost(lost).tolist() == [False, True, False, False, False]
