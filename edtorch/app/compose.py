@@ -17,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from edtorch.app.errors import ConfigError, one_line
-from edtorch.app.options import with_options_named
+from edtorch.app.options import options_named
 from edtorch.app.overrides import typing
 from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
@@ -36,8 +36,11 @@ def compose(overrides: Sequence[str] = (), name: str = "train") -> Settings:
     """The complete settings of ``edtorch-train`` with these overrides.  Raises ConfigError."""
     with typing(overrides):
         try:
-            with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-                composed = hydra.compose(name, prepared(with_options_named(overrides)))
+            with (
+                options_named(overrides) as named,
+                hydra.initialize_config_dir(str(CONF), version_base="1.3"),
+            ):
+                composed = hydra.compose(name, prepared(named))
         except (HydraException, OmegaConfBaseException, ValueError) as error:
             raise ConfigError(one_line(error)) from error
         return checked(plainly(composed))
@@ -82,15 +85,16 @@ def launch(task: Callable[[Any], Any], folder: Path, name: str) -> None:
         sys.path.append(here)  # for _target_=my_module.MyClass
     parser = get_args_parser()
     arguments = parser.parse_args()
-    arguments.overrides = prepared(with_options_named(arguments.overrides))
     setbase("1.3")
-    _run_hydra(
-        args=arguments,
-        args_parser=parser,
-        task_function=task,
-        config_path=str(folder),
-        config_name=name,
-    )
+    with options_named(arguments.overrides) as named:
+        arguments.overrides = prepared(named)
+        _run_hydra(
+            args=arguments,
+            args_parser=parser,
+            task_function=task,
+            config_path=str(folder),
+            config_name=name,
+        )
 
 
 def as_yaml(content: Mapping[str, Any]) -> str:

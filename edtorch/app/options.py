@@ -6,7 +6,8 @@ of its own, and that name stands for it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -28,8 +29,22 @@ PARTS = (
 """Groups whose options are made of a ``_target_`` and its arguments."""
 
 
-def with_options_named(arguments: Sequence[str]) -> list[str]:
-    """The arguments, in which ``GROUP={...}`` has become ``GROUP=written_out``."""
+@contextmanager
+def options_named(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """The arguments, in which ``GROUP={...}`` has become ``GROUP=written_out``; Hydra knows these
+    options meanwhile, and no longer."""
+    repo = ConfigStore.instance().repo
+    try:
+        yield _named(arguments)
+    finally:
+        for group in PARTS:
+            known = repo.get(group, {})
+            known.pop(f"{WRITTEN_OUT}.yaml", None)
+            if not known:
+                repo.pop(group, None)
+
+
+def _named(arguments: Sequence[str]) -> list[str]:
     named = []
     for argument in arguments:
         group, equals, value = argument.lstrip("+").partition("=")
