@@ -15,7 +15,6 @@ from rich.console import Console
 
 from edtorch.app.build import Setup, build
 from edtorch.app.checks import at_least
-from edtorch.app.compose import as_yaml
 from edtorch.app.domain import described
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.evaluations import Evaluation
@@ -27,6 +26,7 @@ from edtorch.app.rundir import (
     SUMMARY,
     TRANSITIONS,
     json_text,
+    settings_text,
 )
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
@@ -297,7 +297,7 @@ def run_offline(
     sinks: list[Sink] = [CsvSink(folder, words=domain.words)]
     board = None
     if config.log.tensorboard:
-        board = TensorBoardSink(folder, as_yaml(config), domain.words)
+        board = TensorBoardSink(folder, settings_text(config), domain.words)
         sinks.append(board)
     if config.log.progress:
         sinks.append(ConsoleSink(console, words=domain.words))

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from edtorch.value.linear.lqr import finite_horizon_lqr
 
@@ -76,6 +77,17 @@ def learned(recorded: Path, quick_command: Command) -> Path:
     )
     assert result.status == 0, result.err
     return folder
+
+
+@pytest.mark.experiment
+def test_tensorboard_has_the_settings(recorded: Path, quick_command: Command) -> None:
+    folder = recorded.parent / "watched"
+    given = (f"offline.data={recorded}", f"hydra.run.dir={folder}", "offline.steps=1")
+    result = quick_command("edtorch-train", *LEARN, "log.tensorboard=true", *given)
+    assert result.status == 0, result.err
+    accumulator = EventAccumulator(str(folder))
+    accumulator.Reload()
+    assert "config/text_summary" in accumulator.Tags()["tensors"]
 
 
 @pytest.mark.experiment
