@@ -44,7 +44,7 @@ def in_arguments(message: str) -> str:
 
 @dataclass(frozen=True)
 class World:
-    """What ``learn`` is told of the world beside ``env``; see there."""
+    """The arguments of ``learn`` that describe the environment; see there."""
 
     dt: float | None = None
     time_limit: float | None = None

@@ -54,7 +54,7 @@ def expected_ticks(budget: Budget, world: World) -> float:
 
 
 def check_choices(config: Any) -> None:
-    """Refuse precisions, ways to compile and devices that are none."""
+    """Reject unknown precisions, compile modes and devices."""
     for name, known in (
         ("precision", PRECISIONS),
         ("compile", get_args(CompileMode)),

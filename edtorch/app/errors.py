@@ -66,7 +66,7 @@ def under(group: str) -> Iterator[None]:
 
 
 def unknown_key(given: str, key: str, known: list[str]) -> str:
-    """The line for a key that is none of ``known``, its siblings; given: it with its value."""
+    """The message for a key not in ``known``, its siblings; given: the key with its value."""
     parent, _, last = key.rpartition(".")
     close = difflib.get_close_matches(last, known, n=1)
     hint = f"; did you mean {parent}{'.' if parent else ''}{close[0]}?" if close else ""

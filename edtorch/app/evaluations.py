@@ -210,7 +210,7 @@ class Evaluations:
         }
 
     def to_save(self, training: Training) -> Parameters:
-        """The policies that the run is to leave: those kept, or those of now."""
+        """The policies that the run saves: the best ones if kept, else the current ones."""
         if self.kept is None:
             return self._setup.learner.acting(training.learners)
         return self.kept.parameters

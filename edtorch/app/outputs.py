@@ -118,6 +118,6 @@ def write_run(job: Job, memory: Memory, path: Path, *, interrupted: bool) -> Non
         for sink in sinks:
             sink.close()
     if interrupted:
-        folder.set_status("interrupted", "stopped by a signal; saved as of then")
+        folder.set_status("interrupted", "stopped by a signal; the state at that time is saved")
     else:
         folder.set_status("done")

@@ -188,7 +188,7 @@ class _Report:
 
 
 class _Fresh:
-    """Fresh episodes of the policies of now; those of plain linear ones in a compiled tile."""
+    """Evaluates the current policies; plain linear ones use the compiled evaluator."""
 
     def __init__(self, setup: RivalSetup, search: Search, pause: Callable[[], None]) -> None:
         """pause: as of ``Search.advance``."""

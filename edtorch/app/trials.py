@@ -19,8 +19,8 @@ before it is tried in all of them: one that fails in one of these is not stable,
 fail."""
 
 Fresh = Callable[[Sequence[int], int], Sequence[list[Episode]]]
-"""From rows of a population to the first so many fresh episodes of each one's policy of now; the
-first of many are those of few."""
+"""The first ``count`` evaluation episodes of the current policy of each row; a longer list extends
+a shorter one."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def _stable(episodes: Sequence[Episode]) -> bool:
 
 
 class Trials:
-    """Fresh episodes of the policies of now, and what has come of those before.
+    """Evaluation episodes of the current policies, and the results of earlier ones.
 
     episodes: of each trial; history: the checkpoints of each row, in order; last: the episodes of
     its last one, only ``SCREENING`` of them where one failed; wall_s: taken by all of it.

@@ -123,7 +123,7 @@ def run(config: Settings, folder: RunFolder, stop: Stop, began: float) -> dict[s
                 raise
     except KeyboardInterrupt as error:
         with stop.not_now():
-            folder.set_status("interrupted", "stopped by a signal; saved as of then")
+            folder.set_status("interrupted", "stopped by a signal; the state at that time is saved")
         raise Interrupted(f"saved in {folder.path}") from error
     except BaseException as error:
         with stop.not_now(), contextlib.suppress(OSError):
