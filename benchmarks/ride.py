@@ -29,7 +29,7 @@ RIDE = 35_800
 
 def setup_of(size: int) -> Setup:
     """The experiment, for learners that never stop."""
-    overrides = [f"seeds={size}", "train.seconds=1e6", "train.rides=null", "compute.compile=on"]
+    overrides = [f"seeds={size}", "train.seconds=1e6", "train.successes=null", "compute.compile=on"]
     return build(compose(["experiment=bicycle", *overrides]))
 
 

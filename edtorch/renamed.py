@@ -89,6 +89,9 @@ RENAMED_KEYS = {
     "noise.exploration": "exploration.deviation",
     "noise.exploration_start": "exploration.start",
     "noise.exploration_decay": "exploration.decay",
+    "rival.fall_cost": "rival.failure_cost",
+    "rival.fall_penalty": "rival.failure_penalty",
+    "train.rides": "train.successes",
 }
 """Settings by their former names, which command lines and saved configurations may still use."""
 
@@ -100,8 +103,8 @@ def current_keys(settings: Mapping[str, Any]) -> dict[str, Any]:
         (old_group, _, old_key), (group, _, key) = old.partition("."), new.partition(".")
         before = result.get(old_group)
         if isinstance(before, dict) and old_key in before:
-            node = result.get(group)
-            result[group] = {**(node if isinstance(node, dict) else {}), key: before.pop(old_key)}
+            value, node = before.pop(old_key), result.get(group)
+            result[group] = {**(node if isinstance(node, dict) else {}), key: value}
     return result
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from edtorch.run.evaluation import evaluate_yardstick
+from edtorch.run.evaluation import evaluate_controller
 from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 from sims.bicycle import Bicycle
@@ -40,7 +40,7 @@ def zero_policy_falls(episodes: int) -> Falls:
     """Of ``episodes`` episodes of each of 20 seeds, without torque and without displacement."""
     world = World(Bicycle(), torch.float64)
     actions = len(world.spec.action)
-    found = evaluate_yardstick(
+    found = evaluate_controller(
         lambda state: state.new_zeros(len(state), actions), world, SEEDS, episodes
     )
     ended = [episode for own in found for episode in own]

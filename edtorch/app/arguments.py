@@ -154,5 +154,5 @@ def budget_overrides(seconds: float | None, episodes: int | None) -> list[str]:
     """The budget in overrides; the limits that are not given are none, unless neither is given."""
     if seconds is None and episodes is None:
         return []
-    told = {"seconds": seconds, "episodes": episodes, "rides": None}
+    told = {"seconds": seconds, "episodes": episodes, "successes": None}
     return [f"train.{k}={'null' if v is None else v}" for k, v in told.items()]

@@ -14,11 +14,12 @@ def build_budget(config: Any) -> Budget:
     """What a learner may use.  Raises ConfigError."""
     if config.seconds is not None and not (math.isfinite(config.seconds) and config.seconds > 0):
         raise ConfigError(f"train.seconds={config.seconds}: expected a finite number > 0, or null")
-    for name in ("episodes", "rides"):
+    for name in ("episodes", "successes"):
         if config[name] is not None:
             at_least(f"train.{name}", config[name], 1)
-    if config.seconds is None and config.episodes is None and config.rides is None:
+    if config.seconds is None and config.episodes is None and config.successes is None:
         raise ConfigError(
-            "train.seconds=null, train.episodes=null, train.rides=null: expected a number for one"
+            "train.seconds=null, train.episodes=null, train.successes=null: expected a number for"
+            " one of them"
         )
-    return Budget(config.seconds, config.episodes, config.rides)
+    return Budget(config.seconds, config.episodes, config.successes)

@@ -78,7 +78,7 @@ def build(config: Settings) -> Setup:
     if config.train.until is not None:
         raise ConfigError(
             f"train.until={config.train.until}: expected null without a rival; a learner has"
-            " train.seconds, train.episodes or train.rides"
+            " train.seconds, train.episodes or train.successes"
         )
     sim = build_sim(config.domain)
     if config.log.transitions:

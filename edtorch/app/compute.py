@@ -48,7 +48,7 @@ def expected_ticks(budget: Budget, world: World) -> float:
     limits = [math.inf if budget.seconds is None else budget.seconds / world.dt]
     limits += [
         math.inf if count is None else count * world.limit_ticks
-        for count in (budget.episodes, budget.rides)
+        for count in (budget.episodes, budget.successes)
     ]
     return min(limits)
 

@@ -29,7 +29,7 @@ from edtorch.report.quantities import evaluation, told_of
 from edtorch.report.statistics import evaluation_figures
 from edtorch.report.text import number
 from edtorch.run.checkpoint import write_text
-from edtorch.run.evaluation import evaluate, evaluate_yardstick
+from edtorch.run.evaluation import evaluate, evaluate_controller
 from edtorch.run.scaled_sim import World
 from sims.base import baselines_of
 
@@ -72,7 +72,7 @@ def _baselines(config: Settings, world: World, domain: Domain, seeds: list[int])
         )
     found: dict[str, Any] = {}
     for name, control in controllers.items():
-        episodes = evaluate_yardstick(control, world, seeds[:1], config.episodes)
+        episodes = evaluate_controller(control, world, seeds[:1], config.episodes)
         found[name] = evaluation_figures(episodes, domain.measures, domain.words)
     return found
 

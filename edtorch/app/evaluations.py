@@ -13,12 +13,13 @@ from edtorch.app.settings import Settings
 from edtorch.app.trials import Paid, Trials
 from edtorch.report.domain import Domain
 from edtorch.report.legacy import MINUTES
-from edtorch.report.milestones import MILESTONES, checkpoints, milestones
+from edtorch.report.milestones import checkpoint_figures, milestone_figures
 from edtorch.report.quantities import EVALUATION, evaluation, told_of
 from edtorch.report.statistics import Spread, evaluation_figures
 from edtorch.report.text import number
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
+from edtorch.run.milestones import MILESTONES
 from edtorch.run.training import Training
 from edtorch.types import Parameters
 
@@ -205,8 +206,8 @@ class Evaluations:
             return {}
         history = self.trials.history
         return {
-            "milestones": milestones(history, self._setup.seeds, self.domain),
-            "checkpoints": checkpoints(history, self.domain),
+            "milestones": milestone_figures(history, self._setup.seeds, self.domain),
+            "checkpoints": checkpoint_figures(history, self.domain),
         }
 
     def to_save(self, training: Training) -> Parameters:

@@ -203,11 +203,11 @@ class NoRival:
 @dataclass(frozen=True)
 class Train:
     """Per learner, whichever ends first; null: unlimited.  until: of a rival, the milestone at
-    which a seed is done as well, stable or goal (``edtorch.report.milestones``)."""
+    which a seed is done as well, stable or goal (``edtorch.run.milestones``)."""
 
     seconds: float | None = None
     episodes: int | None = None
-    rides: int | None = None
+    successes: int | None = None
     until: str | None = None
 
 

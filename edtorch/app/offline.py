@@ -42,12 +42,13 @@ from edtorch.app.summary import (
 from edtorch.errors import CovarianceFloored
 from edtorch.learner.learner import Learner
 from edtorch.report.domain import Domain
-from edtorch.report.milestones import checkpoint, milestones
-from edtorch.report.statistics import FirstSuccess, Spread, by_row
+from edtorch.report.milestones import milestone_figures
+from edtorch.report.statistics import Spread, by_row
 from edtorch.run.checkpoint import save_policy, write_atomically, write_text
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.log import ConsoleSink, CsvSink, Sink, TensorBoardSink
+from edtorch.run.milestones import FirstSuccess, checkpoint
 from edtorch.run.offline import Lessons, Offline, learn
 from edtorch.run.transitions_file import Invalid, Recorded, joined, load_transitions
 from sims.base import Outcome
@@ -243,7 +244,7 @@ def _milestones(
         ]
         for tried, seconds, lived in zip(fresh, offline.experience, own, strict=True)
     ]
-    return milestones(history, offline.seeds, domain)
+    return milestone_figures(history, offline.seeds, domain)
 
 
 def _summary(

@@ -28,7 +28,7 @@ from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.compiled.compilation import CompileMode
 from edtorch.policy.policies import LinearPolicy
-from edtorch.report.milestones import milestones
+from edtorch.report.milestones import milestone_figures
 from edtorch.report.proportions import Proportion
 from edtorch.report.text import number
 from edtorch.rivals.random_search import (
@@ -177,7 +177,7 @@ def summarise_search(setup: SearchSetup, result: SearchResult, wall_s: float) ->
         "rejected": Proportion(total - goal - stable, total).as_json(),
         "median_of_goal_policies": medians,
         "domain": domain.as_json(),
-        "milestones": milestones([history], [setup.seed], domain),
+        "milestones": milestone_figures([history], [setup.seed], domain),
         "episodes": result.episodes,
         "steps": result.steps,
         "simulated_seconds": seconds,

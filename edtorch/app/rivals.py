@@ -35,17 +35,18 @@ from edtorch.app.summary import result_figures, summary_table
 from edtorch.app.trials import Paid, Trials
 from edtorch.policy.policies import LinearPolicy
 from edtorch.report.domain import Domain
-from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoints, milestones
-from edtorch.report.statistics import FirstSuccess, Spread, aliases
+from edtorch.report.milestones import checkpoint_figures, milestone_figures
+from edtorch.report.statistics import Spread, aliases
 from edtorch.rivals.base import Problem, Rival, Search, Storing
 from edtorch.rivals.ledger import FirstGoal
-from edtorch.rivals.runs import SLOTS, Runs, can_try, fresh_episodes
+from edtorch.rivals.runs import SLOTS, Runs, can_try, evaluator, fresh_episodes
 from edtorch.run.checkpoint import PolicyCard, save_policy, write_text
 from edtorch.run.episodes import Budget, Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.log import median, summary_writer
+from edtorch.run.milestones import MILESTONES, Checkpoint, FirstSuccess
 from edtorch.run.scaled_sim import World
-from sims.base import Spec
+from sims.base import Spec, Words
 
 SECONDS_BETWEEN_LINES = 10.0
 
@@ -157,7 +158,7 @@ class _Report:
     def write(self, search: Search, fresh: dict[int, Checkpoint], count: int) -> None:
         """The checkpoints of the seeds that went on, the ``count``-th."""
         for row, found in fresh.items():
-            successes = search.accounts[row].rides
+            successes = search.accounts[row].successes
             cells = (found.seconds, found.episodes, found.failures, successes, found.cpu_s)
             rates = (found.failure_rate, found.goal_rate)
             self._rows.writerow((self._seeds[row], *(f"{v:.9g}" for v in (*cells, *rates))))
@@ -206,13 +207,13 @@ class _Fresh:
             return evaluate(actor, picked, calm, seeds, count)
         if self._runs is None:
             slots = min(SLOTS, len(self._setup.seeds) * self._setup.episodes)
-            self._runs = Runs(calm, actor, slots=slots, mode=self._setup.problem.compile)
+            self._runs = evaluator(calm, actor, slots=slots, mode=self._setup.problem.compile)
         return fresh_episodes(self._runs, calm, picked["weight"], seeds, count, self._pause)
 
 
 def _paid(search: Search, cpu_s: Sequence[float], row: int) -> Paid:
     account = search.accounts[row]
-    return Paid(account.seconds, account.episodes, account.falls, cpu_s[row])
+    return Paid(account.seconds, account.episodes, account.failures, cpu_s[row])
 
 
 def _search(
@@ -249,14 +250,16 @@ def _arrived(setup: RivalSetup, history: Sequence[Checkpoint]) -> bool:
     return bool(getattr(history[-1], MILESTONES[setup.until]))
 
 
-def _first_goal(search: Search, seeds: Sequence[int]) -> dict[str, Any]:
+def _first_goal(search: Search, seeds: Sequence[int], words: Words) -> dict[str, Any]:
     """The first episode of each search to the goal, while it learned; see ``FirstGoal``."""
     goals = [account.goal for account in search.accounts]
+    figures = {
+        f.name: Spread([None if g is None else getattr(g, f.name) for g in goals]).as_json()
+        for f in fields(FirstGoal)
+    }
     return {
-        **{
-            f.name: Spread([None if g is None else getattr(g, f.name) for g in goals]).as_json()
-            for f in fields(FirstGoal)
-        },
+        **figures,
+        **aliases(figures, words),
         "never": [seed for seed, goal in zip(seeds, goals, strict=True) if goal is None],
     }
 
@@ -276,9 +279,9 @@ def _summary(
     paid: dict[str, Any] = {}
     if any(lived):
         first = [account.first_success for account in search.accounts]
-        failures = Spread([a.falls for a in search.accounts]).as_json()
+        failures = Spread([a.failures for a in search.accounts]).as_json()
         paid = {
-            "first_goal": _first_goal(search, setup.seeds),
+            "first_goal": _first_goal(search, setup.seeds, domain.words),
             "episodes": Spread([a.episodes for a in search.accounts]).as_json(),
             "failures": failures,
             **aliases({"failures": failures}, domain.words),
@@ -286,8 +289,8 @@ def _summary(
     return {
         "rival": setup.name,
         **result_figures(domain, setup.seeds, fresh, [], first),
-        "milestones": milestones(trials.history, setup.seeds, domain),
-        "checkpoints": checkpoints(trials.history, domain),
+        "milestones": milestone_figures(trials.history, setup.seeds, domain),
+        "checkpoints": checkpoint_figures(trials.history, domain),
         **paid,
         "simulated_seconds": lived,
         "ticks": round(math.fsum(lived) / setup.problem.world.dt),

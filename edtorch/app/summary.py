@@ -18,17 +18,16 @@ from edtorch.report.domain import Domain
 from edtorch.report.quantities import evaluation, learning, told_of
 from edtorch.report.quantities import training as training_quantities
 from edtorch.report.statistics import (
-    FirstSuccess,
     aliases,
     by_row,
     evaluation_figures,
-    first_success,
     first_success_figures,
     generic_figures,
     is_defined,
 )
 from edtorch.report.text import number
 from edtorch.run.episodes import Episode
+from edtorch.run.milestones import FirstSuccess, first_success
 from edtorch.run.training import Training
 from edtorch.types import LearnerState
 

@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from edtorch.report.milestones import MILESTONES, Checkpoint, checkpoint
 from edtorch.run.episodes import Episode
+from edtorch.run.milestones import MILESTONES, Checkpoint, checkpoint
 from sims.base import Measure, Outcome
 
 SCREENING = 2

@@ -91,7 +91,7 @@ def _section(comparison: Comparison) -> Part:
         comparison.section.title,
         charts=tuple(charts(comparison)),
         tables=tuple(
-            [overview(comparison), *milestones(comparison), *_against_baseline(comparison)]
+            [overview(comparison), *milestone_tables(comparison), *_against_baseline(comparison)]
         ),
         folded=(*_details(comparison), _settings(comparison), _runs(comparison)),
     )
@@ -205,7 +205,7 @@ MILESTONES_NOTE = (
 )
 
 
-def milestones(comparison: Comparison) -> list[Table]:
+def milestone_tables(comparison: Comparison) -> list[Table]:
     """What was paid until policies were stable, and until they were at the goal."""
     told = [q for q in to_milestones(comparison.section.about) if q in comparison.quantities]
     if not told:

@@ -1,87 +1,22 @@
-"""What a learner or rival had paid when its policy first never failed, and first always succeeded.
-
-Policies are tried at checkpoints, in fresh episodes that count as no experience.  One is stable
-if none of them fails, and at the goal if all of them end ``SUCCEEDED``.
-"""
+"""Milestones in ``summary.json``: what was paid before them (``edtorch.run.milestones``)."""
 
 from __future__ import annotations
 
 import math
-import statistics
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import Any
 
 from edtorch.report.domain import Domain
 from edtorch.report.statistics import Spread, aliases
-from edtorch.run.episodes import Episode
-from sims.base import Measure, Outcome
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """One seed's policy at one moment.
-
-    seconds, episodes, failures, cpu_s: paid until then; failure_rate, goal_rate: of ``tried`` fresh
-    episodes; measures: means over those that ended ``SUCCEEDED``, of measures of successes.
-    """
-
-    seconds: float
-    episodes: int
-    failures: int
-    cpu_s: float
-    tried: int
-    failure_rate: float
-    goal_rate: float
-    measures: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def stable(self) -> bool:
-        """No failure."""
-        return self.failure_rate == 0
-
-    @property
-    def to_the_goal(self) -> bool:
-        """Nothing but successes."""
-        return self.goal_rate == 1
-
-
-def checkpoint(
-    fresh: Sequence[Episode],
-    measures: Sequence[Measure],
-    *,
-    seconds: float,
-    failures: int,
-    episodes: int,
-    cpu_s: float,
-) -> Checkpoint:
-    """From the fresh episodes of one policy, at least one; the rest: paid until then."""
-    reached = [e for e in fresh if e.outcome is Outcome.SUCCEEDED]
-    means: dict[str, float] = {}
-    for measure in measures:
-        if measure.successes and reached:
-            means[measure.name] = statistics.fmean(e.measures[measure.name] for e in reached)
-    return Checkpoint(
-        seconds=seconds,
-        episodes=episodes,
-        failures=failures,
-        cpu_s=cpu_s,
-        tried=len(fresh),
-        failure_rate=sum(e.outcome is Outcome.FAILED for e in fresh) / len(fresh),
-        goal_rate=len(reached) / len(fresh),
-        measures=means,
-    )
-
+from edtorch.run.milestones import MILESTONES, Checkpoint
 
 PAID = ("seconds", "episodes", "failures", "cpu_s")
-MILESTONES = {"stable": "stable", "goal": "to_the_goal"}
-"""Names in ``summary.json``, and the properties of a ``Checkpoint`` that say whether it is one."""
 
 
-def milestones(
+def milestone_figures(
     history: Sequence[Sequence[Checkpoint]], seeds: Sequence[int], domain: Domain
 ) -> dict[str, Any]:
-    """For ``summary.json``: of each milestone what each seed had paid there, and ``never``: the
+    """Of each milestone what each seed had paid there, and ``never``: the
     seeds that did not get there, for which it is what they had paid in the end.  Of the goal
     nothing where the domain has none.
 
@@ -107,8 +42,10 @@ def milestones(
 AT_CHECKPOINTS = (*PAID, "failure_rate", "goal_rate")
 
 
-def checkpoints(history: Sequence[Sequence[Checkpoint]], domain: Domain) -> list[dict[str, Any]]:
-    """For ``summary.json``: the k-th of each seed beside each other, null where there is none."""
+def checkpoint_figures(
+    history: Sequence[Sequence[Checkpoint]], domain: Domain
+) -> list[dict[str, Any]]:
+    """The k-th of each seed beside each other, null where there is none."""
     found: list[dict[str, Any]] = []
     for k in range(max(map(len, history))):
         figures = {

@@ -10,6 +10,7 @@ from typing import Any
 
 from edtorch.report.domain import RETURN
 from edtorch.run.episodes import Episode
+from edtorch.run.milestones import FirstSuccess
 from sims.base import Measure, Outcome, Words
 
 
@@ -58,29 +59,6 @@ def _share(marks: Sequence[bool | None]) -> float | None:
     """Of those that are known; None without any."""
     known = [mark for mark in marks if mark is not None]
     return sum(known) / len(known) if known else None
-
-
-@dataclass(frozen=True)
-class FirstSuccess:
-    """What a learner paid for its first success; without one, what it has paid so far.
-
-    seconds_before: simulated, up to the start of that episode.
-    """
-
-    succeeded: bool
-    failures_before: int
-    seconds_before: float
-    failures_after: int
-
-
-def first_success(episodes: Sequence[Episode], seconds: float) -> FirstSuccess:
-    """From one learner's finished episodes, in order, and its simulated seconds in all."""
-    failures = [e.outcome is Outcome.FAILED for e in episodes]
-    for index, episode in enumerate(episodes):
-        if episode.success:
-            before, after = sum(failures[:index]), sum(failures[index:])
-            return FirstSuccess(True, before, episode.start, after)
-    return FirstSuccess(False, sum(failures), seconds, 0)
 
 
 def by_row(episodes: Sequence[Episode], rows: int) -> list[list[Episode]]:
@@ -154,14 +132,6 @@ def evaluation_figures(
     the words of the domain make."""
     figures = generic_figures(episodes) | measure_figures(episodes, measures)
     return figures | aliases(figures, words)
-
-
-def learning_figures(
-    episodes: Sequence[Sequence[Episode]], seeds: Sequence[int], seconds: Sequence[float]
-) -> dict[str, Any]:
-    """Of the learning itself, from each seed's finished episodes and simulated seconds in all."""
-    first = [first_success(own, lived) for own, lived in zip(episodes, seconds, strict=True)]
-    return first_success_figures(first, seeds)
 
 
 def is_defined(episodes: Sequence[Sequence[Episode]], survival: bool | None) -> bool:

@@ -177,6 +177,9 @@ class AdaptiveLqrSearch(LinearSearch):
             self._lived[row] += 1
             self.accounts[row].seconds = self._lived[row] * dt
         if happened.ended:
-            for row in happened.outcome.nonzero().flatten().tolist():
+            outcome = happened.outcome
+            success = self._tick.world.success(happened.after.world, outcome) != 0
+            for row in outcome.nonzero().flatten().tolist():
                 seconds = (happened.clock - int(happened.before.begun[row])) * dt
-                self.accounts[row].end(Outcome(int(happened.outcome[row])), seconds)
+                end = Outcome(int(outcome[row]))
+                self.accounts[row].end(end, seconds, success=bool(success[row]))

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from edtorch.rivals.ledger import Account
+from edtorch.rivals.ledger import Account, pay
 from edtorch.run.evaluation import starts
 from edtorch.run.hashing import Use, hash_key, uniform
 from edtorch.run.random import Draw
@@ -267,8 +267,8 @@ def collect(
             rows = (transition.state, action, transition.next_state, number, outcome, cut)
             record.append(tuple(r[running] for r in rows))
             lived, ended = lived + running, ended + outcome
-        for how, ticks in zip(ended.tolist(), lived.tolist(), strict=True):
-            account.add(Outcome(how), ticks * world.dt)
+            here = happened.population
+        pay(account, world, here.worlds.world, ended, lived)
         return _in_order([torch.cat(column) for column in zip(*record, strict=True)], world)
 
 

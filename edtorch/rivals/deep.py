@@ -11,13 +11,14 @@ from dataclasses import dataclass, field
 class Lesson:
     """How a world is put to an algorithm.
 
-    copies: episodes side by side; repeat: ticks that an action lasts; fall_penalty: what a failure
-    costs, in the unit of the shaping reward times a second; reward_scale: of the sum of both.
+    copies: episodes side by side; repeat: ticks that an action lasts; failure_penalty: what a
+    failure costs, in the unit of the shaping reward times a second; reward_scale: of the sum of
+    both.
     """
 
     copies: int
     repeat: int
-    fall_penalty: float
+    failure_penalty: float
     reward_scale: float
 
 
@@ -25,20 +26,20 @@ class Lesson:
 class DeepSettings:
     """steps: decisions before the first checkpoint; growth: each piece of work after that is so
     many times the one before, from 1 to 10; repeat: ticks that an action is held while it is
-    learned from (a policy that is tried decides at every tick); fall_penalty: what a failure costs,
-    in the unit of the shaping reward times a second, 0 or more; reward_scale: of all rewards;
+    learned from (a policy that is tried decides at every tick); failure_penalty: what a failure
+    costs, in the unit of the shaping reward times a second; reward_scale: of all rewards;
     learning_rate, discount (per decision), hidden (units of each hidden layer): those of
     stable-baselines3, whose defaults everything else has.
 
     The reward of a decision is ``reward_scale`` times: the shaping reward, integrated over its
-    ticks, less ``fall_penalty`` if it ends in a failure.  Under a shaping reward that is negative a
-    fall ends all cost, and an agent without a penalty learns to fall.
+    ticks, less ``failure_penalty`` if it ends in a failure.  Under a negative shaping reward a
+    failure ends all cost, and an agent without a penalty learns to fail.
     """
 
     steps: int
     growth: float = 1.0
     repeat: int = 1
-    fall_penalty: float = 0.0
+    failure_penalty: float = 0.0
     reward_scale: float = 1.0
     learning_rate: float = 3e-4
     discount: float = 0.99
@@ -50,7 +51,7 @@ class DeepSettings:
 
     def lesson(self, copies: int) -> Lesson:
         """How the world is put to so many copies of an episode."""
-        return Lesson(copies, self.repeat, self.fall_penalty, self.reward_scale)
+        return Lesson(copies, self.repeat, self.failure_penalty, self.reward_scale)
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments; ModuleNotFoundError without stable-baselines3."""
@@ -58,9 +59,9 @@ class DeepSettings:
             at_least_one(name, getattr(self, name))
         if not 1 <= self.growth <= 10:
             raise ValueError(f"growth={self.growth}: expected a number in [1, 10]")
-        if not (math.isfinite(self.fall_penalty) and self.fall_penalty >= 0):
+        if not (math.isfinite(self.failure_penalty) and self.failure_penalty >= 0):
             raise ValueError(
-                f"fall_penalty={self.fall_penalty}: expected a finite number, 0 or more"
+                f"failure_penalty={self.failure_penalty}: expected a finite number, 0 or more"
             )
         for name in ("reward_scale", "learning_rate"):
             value = getattr(self, name)

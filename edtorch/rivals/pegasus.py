@@ -10,8 +10,8 @@ is a function of the weights alone, which is climbed with finite differences: m 
 weight (footnote 2), and m for each step length that is tried along the gradient.
 
 f is the return of an episode: the integral of gamma^t r(s, a) over up to ``horizon`` seconds.
-After a failure the rest of the horizon is charged at ``fall_cost`` per second, so that falling
-later is better and never falling best; after the goal the rest costs nothing.
+After a failure the rest of the horizon is charged at ``failure_cost`` per second, so that failing
+later is better and never failing best; after the goal the rest costs nothing.
 
 Ng and Jordan had 15 weights and a reward of progress towards the goal; here the weights are those
 of the policy that the configuration names, starting at zero, and the reward is the learner's.
@@ -27,7 +27,6 @@ import torch
 from torch import Tensor
 
 from edtorch.rivals.base import LinearSearch, Problem
-from edtorch.rivals.ledger import pay
 from edtorch.rivals.returns import Return, SparseReward, charge, check_discount
 from edtorch.rivals.runs import SLOTS, Ended, Runs
 from edtorch.run.hashing import Use, hash_key
@@ -41,7 +40,7 @@ class Pegasus:
     both ways, at nearly twice the runs: a weight that neither way improves then stays as it is, for
     the value has kinks; lengths: of a step along the gradient that are tried, each half the one
     before; longest: the first of them, a Euclidean distance between weights; horizon: seconds of a
-    run at most; discount: gamma, per second; fall_cost: per second of the rest of the horizon,
+    run at most; discount: gamma, per second; failure_cost: per second of the rest of the horizon,
     above what any state costs."""
 
     gradients: int = 30
@@ -52,7 +51,7 @@ class Pegasus:
     longest: float = 4.0
     horizon: float = 20.0
     discount: float = 1.0
-    fall_cost: float = 20.0
+    failure_cost: float = 20.0
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""
@@ -62,8 +61,8 @@ class Pegasus:
         for name in ("difference", "longest", "horizon"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}={getattr(self, name)}: expected a number > 0")
-        if not self.fall_cost >= 0:
-            raise ValueError(f"fall_cost={self.fall_cost}: expected a number >= 0")
+        if not self.failure_cost >= 0:
+            raise ValueError(f"failure_cost={self.failure_cost}: expected a number >= 0")
         check_discount(self.discount)
 
     def begin(self, problem: Problem) -> PegasusSearch:
@@ -154,7 +153,7 @@ class PegasusSearch(LinearSearch):
         ended = self._runs(shaped.unflatten(-1, self._policy.weight.shape), key, pause)
         for place, row in enumerate(rows):
             own = slice(place * many * m, (place + 1) * many * m)
-            pay(self.accounts[row], ended.outcome[own], ended.ticks[own], self._world)
+            ended.pay(self.accounts[row], self._world, own)
         returns = self._returns(ended)
         return returns.view(len(rows), many, m).mean(-1)
 
@@ -162,4 +161,4 @@ class PegasusSearch(LinearSearch):
         fell = ended.outcome == int(Outcome.FAILED)
         seconds = ended.ticks.to(torch.float64) * self._world.dt
         rest = charge(seconds, self._limit * self._world.dt, self._settings.discount)
-        return ended.sums[0] + torch.where(fell, self._settings.fall_cost * rest, 0.0)
+        return ended.sums[0] + torch.where(fell, self._settings.failure_cost * rest, 0.0)

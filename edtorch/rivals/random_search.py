@@ -18,10 +18,10 @@ from torch import Tensor
 
 from edtorch.compiled.compilation import CompileMode
 from edtorch.policy.policies import LinearPolicy
-from edtorch.report.milestones import Checkpoint
 from edtorch.rivals.episodes import Finished, Tile
 from edtorch.rivals.processes import in_processes
 from edtorch.run.hashing import Use, hash_key, uniform
+from edtorch.run.milestones import Checkpoint
 from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 
@@ -59,7 +59,7 @@ class RandomSearch:
 @dataclass(frozen=True)
 class Progress:
     """Of some policies: how many are decided, how many of those are good (goal in all runs) and
-    stable (no fall, but not always the goal); simulator steps so far."""
+    stable (no failure, but not always the goal); simulator steps so far."""
 
     decided: int = 0
     goal: int = 0

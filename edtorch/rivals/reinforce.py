@@ -14,8 +14,8 @@ No step of an episode is kept.  With the traces z = gamma z + l and y = gamma y 
     sum_t R_t l_t = sum_t r_t z_t   and   sum_t R_t psi_t = sum_t r_t y_t
 
 (Baxter & Bartlett, "Infinite-horizon policy-gradient estimation", 2001, section 3), so that a few
-sums do.  A failure costs ``fall_cost`` per second for ever: one more reward, -fall_cost / log(1 /
-gamma).  An episode that is cut off earns nothing more, like one at the goal.
+sums do.  A failure costs ``failure_cost`` per second for ever: one more reward, -failure_cost /
+log(1 / gamma).  An episode that is cut off earns nothing more, like one at the goal.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from torch import Tensor
 from edtorch.model.features import FeatureMap
 from edtorch.rivals.base import LinearSearch, Problem
 from edtorch.rivals.episodes import EpisodeTick
-from edtorch.rivals.ledger import Account, pay
+from edtorch.rivals.ledger import Account
 from edtorch.rivals.returns import SparseReward
 from edtorch.rivals.runs import SLOTS, Ended, Runs
 from edtorch.run.hashing import Use, hash_key
@@ -42,7 +42,7 @@ class Reinforce:
     """batch: episodes for one step; updates: steps in a piece of work; deviation: sigma, scaled;
     alpha, beta: of the step alpha g / (beta + norm of g), g being the mean over the episodes;
     horizon: seconds after which an episode is cut off; discount: gamma, per second, below 1;
-    fall_cost: per second, above what any state costs."""
+    failure_cost: per second, above what any state costs."""
 
     batch: int = 100
     updates: int = 10
@@ -51,7 +51,7 @@ class Reinforce:
     beta: float = 1.0
     horizon: float = 20.0
     discount: float = 0.8
-    fall_cost: float = 20.0
+    failure_cost: float = 20.0
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""
@@ -61,7 +61,7 @@ class Reinforce:
         for name in ("deviation", "alpha", "horizon"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}={getattr(self, name)}: expected a number > 0")
-        for name in ("beta", "fall_cost"):
+        for name in ("beta", "failure_cost"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name}={getattr(self, name)}: expected a number >= 0")
         if not 0 < self.discount < 1:
@@ -184,7 +184,7 @@ class ReinforceSearch(LinearSearch):
         ended = self._runs(shaped, key, pause)
         for place, row in enumerate(rows):
             own = slice(place * batch, (place + 1) * batch)
-            pay(self.accounts[row], ended.outcome[own], ended.ticks[own], self._world)
+            ended.pay(self.accounts[row], self._world, own)
             self._made[row] += 1
         g, c, crossed, squared = (
             part.unflatten(0, (len(rows), batch)).sum(1) for part in self._sums(ended)
@@ -200,7 +200,7 @@ class ReinforceSearch(LinearSearch):
         """Of each episode, what failing costs included."""
         z, g, y, c, crossed, squared = ended.sums
         last = (
-            self._settings.fall_cost
+            self._settings.failure_cost
             * self._accumulator.discount
             / math.log(self._settings.discount)
         )

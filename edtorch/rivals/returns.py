@@ -7,6 +7,7 @@ of the time, up to a horizon, is charged at a rate of its own (``charge``).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -45,7 +46,7 @@ class Return:
     discount: gamma, per second; dt: of a tick, in seconds.
     """
 
-    reward: SparseReward
+    reward: Callable[[Tensor, Tensor], Tensor]
     discount: float
     dt: float
     deviation: float = 0.0

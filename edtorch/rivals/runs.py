@@ -6,8 +6,9 @@ their place.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -15,10 +16,14 @@ from torch import Tensor
 from edtorch.compiled.compilation import CompileMode
 from edtorch.policy.policies import LinearPolicy
 from edtorch.rivals.episodes import Accumulator, Tile
+from edtorch.rivals.ledger import Account, pay
+from edtorch.rivals.returns import Return
 from edtorch.run.episodes import Episode
 from edtorch.run.hashing import Use, hash_key, uniform
+from edtorch.run.rollout import finished
 from edtorch.run.scaled_sim import World
-from sims.base import Lasting, Outcome
+from edtorch.run.success import all_settled
+from sims.base import Lasting, Rewarded
 
 SLOTS = 1024
 """Of a tile: as many as the processor's caches hold, with what a tick makes of them."""
@@ -35,6 +40,10 @@ class Ended:
     ticks: Tensor
     state: Tensor
     sums: tuple[Tensor, ...]
+
+    def pay(self, account: Account, world: World, own: slice) -> None:
+        """Enter the episodes ``own``, which are those of one seed."""
+        pay(account, world, self.state[own], self.outcome[own], self.ticks[own])
 
 
 class Runs:
@@ -118,6 +127,14 @@ def can_try(world: World) -> bool:
     return bool(getattr(world.sim, "traceable", False)) and not lasting and not world.unwraps
 
 
+def evaluator(world: World, policy: LinearPolicy, *, mode: CompileMode, slots: int) -> Runs:
+    """For ``fresh_episodes``: adds up the return where the world has one by a reward of its own."""
+    reward = world.reward
+    total = None if reward is None or isinstance(world.sim, Rewarded) else reward
+    accumulator = None if total is None else Return(total, 1.0, world.dt)
+    return Runs(world, policy, mode=mode, slots=slots, accumulator=accumulator)
+
+
 def fresh_episodes(
     runs: Runs,
     world: World,
@@ -127,25 +144,24 @@ def fresh_episodes(
     pause: Callable[[], None],
 ) -> list[list[Episode]]:
     """As ``edtorch.run.evaluation.evaluate`` for linear policies of weights ``[S, m, n]``: fresh
-    episodes of each, the same ones of a seed whatever else is tried."""
+    episodes of each, the same ones of a seed whatever else is tried.  runs: from ``evaluator``."""
     number = torch.arange(episodes)
     key = torch.cat([hash_key(Use.FRESH, seed, number) for seed in seeds])
     ended = runs(weight.detach().repeat_interleave(episodes, dim=0), key, pause)
     start = world.initial(uniform(key, torch.zeros_like(key[:, 0]), world.uniforms))
-    seconds = ended.ticks.to(torch.float64) * world.dt
-    measures = world.sim.measures(start, ended.state, seconds)
-    return [
+    earned = torch.full((len(key),), math.nan, dtype=torch.float64)
+    if isinstance(world.sim, Rewarded):
+        earned = world.sim.total_reward(ended.state)
+    elif ended.sums:
+        (earned,) = ended.sums
+    outcome = world.rule.outcome(world.sim, ended.state, ended.outcome, earned)
+    found = finished(world, start, ended.state, ended.ticks, outcome, earned)
+    own = [
         [
-            Episode(
-                row=row,
-                number=e,
-                start=0.0,
-                seconds=float(seconds[k]),
-                outcome=Outcome(int(ended.outcome[k])),
-                measures={name: float(values[k]) for name, values in measures.items()},
-            )
-            for e in range(episodes)
-            for k in (row * episodes + e,)
+            replace(e, row=row, number=k)
+            for k in range(episodes)
+            if (e := found[row * episodes + k]) is not None
         ]
         for row in range(len(seeds))
     ]
+    return all_settled(own)

@@ -419,6 +419,8 @@ class SarsaSearch:
         self.accounts = [Account() for _ in seeds]
         self._settings = settings
         self._dt = world.dt
+        lasts = world.rule.survival is not False
+        self._successes = {Outcome.SUCCEEDED, *([Outcome.TIMED_OUT] if lasts else [])}
         with torch.inference_mode():
             self._tick = _Tick(settings, world, problem.reward, seeds)
             self._memory = self._tick.memory()
@@ -470,7 +472,9 @@ class SarsaSearch:
                 clock = before + place + 1
                 # By the clock, not episode by episode: a sum of thousands would miss the budget.
                 account.spend(clock * self._dt - account.seconds)
-                account.end(Outcome(outcome), (clock - self._began[row]) * self._dt)
+                seconds = (clock - self._began[row]) * self._dt
+                success = outcome in self._successes
+                account.end(Outcome(outcome), seconds, success=success)
                 self._began[row] = clock
             account.spend((before + count) * self._dt - account.seconds)
 

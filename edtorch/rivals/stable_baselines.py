@@ -28,8 +28,9 @@ from edtorch.rivals.deep import Lesson
 from edtorch.rivals.ledger import Account
 from edtorch.rivals.networks import Networks, stacked
 from edtorch.run.random import Purpose, Streams, stream_key
+from edtorch.run.rollout import rollout
 from edtorch.run.scaled_sim import World
-from edtorch.run.tick import Population, Tick
+from edtorch.run.tick import Tick
 from edtorch.types import Parameters, Transition, replace
 from sims.base import Outcome
 
@@ -71,7 +72,7 @@ class WorldEnvs(VecEnv):
     Observations are the world's scaled ones, float32 and unbounded; actions are in [-1, 1], see
     ``action_box``.  An action is held for ``repeat`` ticks, or until the episode ends; the reward
     of such a decision is ``reward_scale`` times: the sum over its ticks of r dt, of the state that
-    each arrives at, less ``fall_penalty`` if it ends in a failure.  Every tick and episode is
+    each arrives at, less ``failure_penalty`` if it ends in a failure.  Every tick and episode is
     entered in ``account``.  Copy c of a seed draws from the c-th stream of the seed.
     """
 
@@ -86,7 +87,9 @@ class WorldEnvs(VecEnv):
         copies = lesson.copies
         keys = [stream_key(seed, Purpose.LEARNING, copy) for copy in range(copies)]
         self._streams = Streams(keys, world.uniforms, 0, world.dtype)
-        self._tick = Tick(_Commanded(), world)
+        # An episode that ends within a decision waits for the decision's end.
+        self._tick = Tick(_Commanded(), world, most_episodes=1)
+        self._begin = Tick(_Commanded(), world)
         self._clock = 0
         self._paid = 0
         self._ticks = torch.zeros(copies, dtype=torch.int64)
@@ -118,15 +121,17 @@ class WorldEnvs(VecEnv):
         ended = outcome != int(Outcome.RUNNING)
         failed = outcome == int(Outcome.FAILED)
         lesson = self._lesson
-        rewards = lesson.reward_scale * (earned * self._world.dt - lesson.fall_penalty * failed)
+        rewards = lesson.reward_scale * (earned * self._world.dt - lesson.failure_penalty * failed)
         # From the whole, so that no rounding adds up.
         self._account.spend(self._paid * self._world.dt - self._account.seconds)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if bool(ended.any()):
             final = self._seen()
+            success = self._world.success(self._here.worlds.world, outcome) != 0
             for copy in ended.nonzero().flatten().tolist():
                 seconds = int(self._ticks[copy]) * self._world.dt
-                self._account.end(Outcome(int(outcome[copy])), seconds)
+                end = Outcome(int(outcome[copy]))
+                self._account.end(end, seconds, success=bool(success[copy]))
                 infos[copy] = {
                     "terminal_observation": final[copy],
                     # Not a state from which nothing more is earned: its value counts.
@@ -135,7 +140,7 @@ class WorldEnvs(VecEnv):
             with torch.no_grad():
                 # From the numbers of the last tick that its own did not use.
                 draw = self._streams.at(self._clock)
-                self._here = self._tick.turn(self._here, outcome, draw, self._clock)
+                self._here = self._begin.turn(self._here, outcome, draw, self._clock)
             self._ticks = torch.where(ended, 0, self._ticks)
         return (
             self._seen(),
@@ -151,25 +156,22 @@ class WorldEnvs(VecEnv):
         action = world.clip(self._centre + self._radius * action)
         earned = torch.zeros(self.num_envs, dtype=world.dtype)
         outcome = torch.full((self.num_envs,), int(Outcome.RUNNING))
-        for _ in range(self._lesson.repeat):
-            running = outcome == int(Outcome.RUNNING)
-            count = int(running.sum())
-            if count == 0:
-                break
-            self._clock += 1
-            self._paid += count
+        everybody, none = torch.ones_like(outcome, dtype=torch.bool), torch.zeros_like(outcome)
+        worlds = replace(self._here.worlds, active=everybody, episodes=none)
+        for happened in rollout(
+            self._tick,
+            replace(self._here, learners=action, worlds=worlds),
+            self._streams.at,
+            clock=self._clock,
+            ticks=self._lesson.repeat,
+        ):
+            running, self._clock = happened.before.active, happened.clock
+            self._paid += int(running.sum())
             self._ticks += running
-            worlds = replace(self._here.worlds, active=running)
-            self._here, _, now = self._tick.live(
-                Population(action, worlds, self._here.tally),
-                self._streams.at(self._clock),
-                self._clock,
-                improve=False,
-            )
-            earned += running * self._reward(self._here.worlds.observation, action)
-            outcome = torch.where(running, now, outcome)
+            earned += running * self._reward(happened.after.observation, action)
+            outcome = torch.where(running, happened.outcome, outcome)
+            self._here = happened.population
         # An episode that has ended begins anew.
-        everybody = torch.ones_like(self._here.worlds.active)
         self._here = replace(self._here, worlds=replace(self._here.worlds, active=everybody))
         return earned, outcome, self._ticks >= world.limit_ticks
 

@@ -7,32 +7,29 @@ from dataclasses import dataclass
 
 from sims.base import Outcome
 
-RIDES = (Outcome.SUCCEEDED, Outcome.TIMED_OUT)
-"""A ride: the goal was reached, or the time limit without a failure."""
-
 
 @dataclass(frozen=True)
 class Budget:
     """What a learner may use; whichever ends first ends it.  None: unlimited.
 
-    seconds: simulated; episodes: ended in any way; rides: successes, and episodes of which nothing
-    is known but that they did not fail.
+    seconds: simulated; episodes: ended in any way; successes: episodes that succeeded, and those
+    of which nothing is known but that they did not fail.
     """
 
     seconds: float | None = None
     episodes: int | None = None
-    rides: int | None = None
+    successes: int | None = None
 
     def __post_init__(self) -> None:
-        if self.seconds is None and self.episodes is None and self.rides is None:
-            raise ValueError("no budget: give seconds, episodes or rides")
+        if self.seconds is None and self.episodes is None and self.successes is None:
+            raise ValueError("no budget: give seconds, episodes or successes")
 
     def in_words(self, successes: str) -> str:
         """For people; successes: what several of them are called."""
         limits = (
             (self.seconds, "simulated s"),
             (self.episodes, "episodes"),
-            (self.rides, successes),
+            (self.successes, successes),
         )
         return " or ".join(f"{limit:g} {unit}" for limit, unit in limits if limit is not None)
 
@@ -59,11 +56,6 @@ class Episode:
     total_reward: float = math.nan
     success: bool | None = None
 
-    @property
-    def is_ride(self) -> bool:
-        """Whether it counts as a ride."""
-        return self.outcome in RIDES
-
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -75,8 +67,8 @@ class Snapshot:
     seeds: list[int]
     active: list[bool]
     episodes: list[int]
-    falls: list[int]
-    rides: list[int]
+    failures: list[int]
+    successes: list[int]
     episode_seconds: list[float]
     value: list[float]
     gradient: list[float]

@@ -18,7 +18,7 @@ from edtorch.run.episodes import Episode
 from edtorch.run.random import Purpose, Streams, learning_streams, stream_key
 from edtorch.run.rollout import finished, rollout
 from edtorch.run.scaled_sim import World
-from edtorch.run.success import settled
+from edtorch.run.success import all_settled
 from edtorch.run.tick import Tick
 from edtorch.types import Parameters, Transition
 from sims.base import Lasting
@@ -45,7 +45,7 @@ def evaluate(
     parameters: ``[S, ...]``, one policy per seed.  Returns the episodes of each policy, in order;
     episode e of a seed is the same whatever else is evaluated beside it.  watch: see ``Watch``;
     observer: what the policies estimate the state with, None if they take what they observe for it;
-    among: the other episodes of the run, see ``edtorch.run.success.settled``; purpose: of the
+    among: the other episodes of the run, see ``edtorch.run.success.all_settled``; purpose: of the
     random numbers.  Lost episodes are left out.
     """
     most = getattr(world.sim, "most_rows", None)
@@ -57,22 +57,17 @@ def evaluate(
         tick = Tick(Frozen(policy, expanded, observer), world, most_episodes=1)
         for own, more in zip(found, _run(tick, seeds, numbers, watch, purpose), strict=True):
             own += more
-    return _settled(found, among)
+    return all_settled(found, among)
 
 
-def _settled(found: Sequence[Sequence[Episode]], among: Sequence[Episode]) -> list[list[Episode]]:
-    everything = [*among, *(e for own in found for e in own)]
-    return [settled(own, everything) for own in found]
-
-
-def evaluate_yardstick(
+def evaluate_controller(
     control: Callable[[Tensor], Tensor], world: World, seeds: Sequence[int], episodes: int
 ) -> list[list[Episode]]:
     """The same episodes with a controller that sees all: full states ``[N, k]`` to actions
     ``[N, m]``, physical units (``sims.base.Measured``)."""
     knowing = Frozen(_Control(control, world), {}, None)
     tick = Tick(knowing, world, most_episodes=1, view=lambda worlds: worlds.world)
-    return _settled(_run(tick, seeds, range(episodes), None, Purpose.EVALUATION), ())
+    return all_settled(_run(tick, seeds, range(episodes), None, Purpose.EVALUATION))
 
 
 @dataclass(frozen=True)

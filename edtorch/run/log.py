@@ -62,8 +62,8 @@ class CsvSink:
     METRICS = (
         "active",
         "episodes",
-        "falls",
-        "rides",
+        "failures",
+        "successes",
         "episode_seconds",
         "value",
         "gradient",
@@ -79,7 +79,7 @@ class CsvSink:
         self._episodes_file = (folder / "episodes.csv").open("w", newline="", encoding="utf-8")
         self._metrics = csv.writer(self._metrics_file)
         self._episodes = csv.writer(self._episodes_file)
-        named = {"falls": words.failures, "rides": words.successes}
+        named = {"failures": words.failures, "successes": words.successes}
         metrics = [named.get(name, name) for name in self.METRICS]
         self._metrics.writerow(("seconds", "seed", *metrics, "value_error_estimate"))
         columns = ("seed", "episode", "start_s", "seconds", "outcome", "return", "success")
@@ -140,7 +140,10 @@ class TensorBoardSink:
         if snapshot.value_error is not None:
             scalars["learning/value error estimate"] = median(snapshot.value_error)
         words = self._words
-        for name, numbers in ((words.failures, snapshot.falls), (words.successes, snapshot.rides)):
+        for name, numbers in (
+            (words.failures, snapshot.failures),
+            (words.successes, snapshot.successes),
+        ):
             counts = [float(v) for v in numbers]
             scalars |= {
                 f"{name}/median": median(counts),
@@ -204,8 +207,8 @@ class ConsoleSink:
         speed = (snapshot.seconds - self._last_seconds) / max(now - self._last_time, 1e-9)
         self._last_seconds, self._last_time = snapshot.seconds, now
         line = (
-            f"{snapshot.seconds:6.0f} s  {self._words.failures} {_spread(snapshot.falls)}  "
-            f"{self._words.successes} {_spread(snapshot.rides)}  "
+            f"{snapshot.seconds:6.0f} s  {self._words.failures} {_spread(snapshot.failures)}  "
+            f"{self._words.successes} {_spread(snapshot.successes)}  "
             f"value {median(snapshot.value):.3g}  "
             f"{sum(snapshot.active)}/{len(snapshot.seeds)} learning  {speed:.0f} s per s"
         )

@@ -93,10 +93,10 @@ class Lessons:
         if budget.seconds is not None:
             lived = np.cumsum(_seconds(data, rows))
             most = int(np.searchsorted(lived, budget.seconds * (1 + 1e-9), side="right"))
-        if budget.rides is not None:
-            ridden = np.flatnonzero(data.succeeded[rows])
-            if len(ridden) >= budget.rides:
-                most = min(most, int(ridden[budget.rides - 1]) + 1)
+        if budget.successes is not None:
+            good = np.flatnonzero(data.succeeded[rows])
+            if len(good) >= budget.successes:
+                most = min(most, int(good[budget.successes - 1]) + 1)
         return rows[:most]
 
     def usable(self, data: Recorded, rows: np.ndarray) -> np.ndarray:
@@ -329,7 +329,7 @@ class Offline:
         return self._next[torch.tensor(picked, device=self.world.device)]
 
     def snapshot(self) -> Snapshot:
-        """The population now; the means begin anew.  Episodes and falls are those of all of the
+        """The population now; the means begin anew.  Episodes and failures are those of all of the
         data."""
         sums, learners = self._tally, self.learners
         self._tally = sums.begun_anew()
@@ -340,8 +340,8 @@ class Offline:
             seeds=self.seeds,
             active=self.moving.tolist(),
             episodes=[len(episodes) for episodes in own],
-            falls=[sum(e.outcome is Outcome.FAILED for e in episodes) for episodes in own],
-            rides=[sum(e.outcome is Outcome.SUCCEEDED for e in episodes) for episodes in own],
+            failures=[sum(e.outcome is Outcome.FAILED for e in episodes) for episodes in own],
+            successes=[sum(e.outcome is Outcome.SUCCEEDED for e in episodes) for episodes in own],
             episode_seconds=[0.0] * len(self.seeds),
             value=(sums.value / sums.updates).tolist(),
             gradient=(sums.gradient / sums.updates).tolist(),

@@ -77,3 +77,11 @@ def settled(episodes: Sequence[Episode], among: Sequence[Episode]) -> list[Episo
     if not (own or any(e.outcome is Outcome.FAILED for e in among)):
         return list(episodes)
     return [replace(e, success=not own) if e.success is None else e for e in episodes]
+
+
+def all_settled(
+    found: Sequence[Sequence[Episode]], among: Sequence[Episode] = ()
+) -> list[list[Episode]]:
+    """``settled`` for the episodes of each policy; among: further episodes of the run."""
+    everything = [*among, *(e for own in found for e in own)]
+    return [settled(own, everything) for own in found]

@@ -140,14 +140,14 @@ def observation(worlds: Experience) -> Tensor:
 class Tick(Generic[Memory]):
     """What all ticks of a run have in common.
 
-    learner: acts, and may learn; most_episodes, most_rides: after which it is done, None for no
+    learner: acts, and may learn; most_episodes, most_successes: after which it is done, None for no
     limit; schedule: at which ticks policies are improved; view: what the learner acts upon.
     """
 
     learner: Source[Memory]
     world: World
     most_episodes: int | None = None
-    most_rides: int | None = None
+    most_successes: int | None = None
     schedule: Schedule = ALWAYS
     view: Callable[[Experience], Tensor] = observation
 
@@ -216,8 +216,8 @@ class Tick(Generic[Memory]):
         active = worlds.active
         if self.most_episodes is not None:
             active = active & (episodes < self.most_episodes)
-        if self.most_rides is not None:
-            active = active & (successes < self.most_rides)
+        if self.most_successes is not None:
+            active = active & (successes < self.most_successes)
         fresh = ended & active
         state = self.world.restart(worlds.world, fresh, draw.uniform)
         experience = Experience(

@@ -161,7 +161,7 @@ class Training:
         self.clock = 0
         self._episodes: list[Episode] = []
         self.lost_episodes = [0] * len(self.seeds)
-        self.tick = Tick(learner, world, budget.episodes, budget.rides, schedule)
+        self.tick = Tick(learner, world, budget.episodes, budget.successes, schedule)
         streams = learning_streams(world, self.seeds)
         first = self.tick.first(learner.initial(self.seeds), world.initial(streams.at(0).uniform))
         self.stage: Stage = Eager(self.tick, first, streams, recorder)
@@ -290,8 +290,8 @@ class Training:
             seeds=self.seeds,
             active=here.active.tolist(),
             episodes=here.episodes.tolist(),
-            falls=here.failures.tolist(),
-            rides=here.successes.tolist(),
+            failures=here.failures.tolist(),
+            successes=here.successes.tolist(),
             episode_seconds=[t * self.world.dt for t in (self.clock - here.begun).tolist()],
             value=(sums.value / sums.updates).tolist(),
             gradient=(sums.gradient / sums.updates).tolist(),

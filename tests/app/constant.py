@@ -58,6 +58,7 @@ class Pieces:
         self._count += 1
         for k, account in enumerate(self.accounts):
             if going[k]:
-                account.add(Outcome.FAILED, self._settings.price)
+                account.spend(self._settings.price)
+                account.end(Outcome.FAILED, self._settings.price, success=False)
                 if self._count >= 3 + k:
                     self._weight[k] = self._settings.gain

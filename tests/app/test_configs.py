@@ -88,7 +88,7 @@ def _compose(*overrides: str) -> Settings:
 def test_experiment_runs_three_episodes(name: str) -> None:
     if name.startswith("cardea"):
         pytest.importorskip("pybullet", reason="the extra [cardea] is not installed")
-    limits = ("seeds=2", "train.episodes=3", "train.rides=null", "train.seconds=200")
+    limits = ("seeds=2", "train.episodes=3", "train.successes=null", "train.seconds=200")
     if not name.startswith("cardea"):
         # For those who never fall.
         world = "domain.sim" if name == "bicycle_sensors" else "domain"

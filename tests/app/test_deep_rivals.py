@@ -76,7 +76,11 @@ def test_the_folder_is_complete_and_repeats(command: Command, workplace: Path, n
     ("name", "arguments", "wanted"),
     [
         ("sac", ["rival.steps=0"], r"rival\.steps=0: expected an integer >= 1"),
-        ("sac", ["rival.fall_penalty=-1"], r"rival\.fall_penalty=-1\.0: expected a finite number"),
+        (
+            "sac",
+            ["rival.failure_penalty=-1"],
+            r"rival\.failure_penalty=-1\.0: expected a finite number",
+        ),
         ("sac", ["rival.copies=2"], r"rival\.copies=2: unknown key"),
         ("ppo", ["rival.rollout=7"], r"rival\.rollout=7: .* copies=8 is a multiple of 64"),
         ("ppo", ["rival.hidden=[]"], r"rival\.hidden=\[\]: expected units of each layer"),

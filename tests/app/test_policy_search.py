@@ -25,7 +25,7 @@ SYSTEM = (
     "compute.compile=off",
     "seeds=2",
     "seed=3",
-    "train.rides=null",
+    "train.successes=null",
     "train.seconds=300",
     "eval.episodes=3",
 )

@@ -90,20 +90,30 @@ def test_what_no_file_lists_needs_no_plus() -> None:
         assert weights.domain.state_scale.lean == 2.0
 
 
-@pytest.mark.parametrize("sign", ["", "+", "++"])
-def test_former_names(sign: str) -> None:
-    old = compose([f"{sign}{key}={k + 1}" for k, key in enumerate(RENAMED_KEYS)])
-    new = compose([f"{key}={k + 1}" for k, key in enumerate(RENAMED_KEYS.values())])
-    assert old == new
-    assert old.exploration.plain() == {"deviation": 1.0, "start": 2.0, "decay": 3.0}
+WITH_RIVALS = {
+    "rival.fall_cost": "experiment=bicycle_pegasus",
+    "rival.fall_penalty": "experiment=bicycle_sac",
+}
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED_KEYS.items())
+def test_former_names(old: str, new: str) -> None:
+    experiment = WITH_RIVALS.get(old, "experiment=bicycle")
+    wanted = compose([experiment, f"{new}=3"])
+    group, _, key = new.partition(".")
+    assert wanted[group][key] == 3
+    assert compose([experiment, f"{old}=3"]) == wanted == compose([experiment, f"+{old}=3"])
 
 
 def test_former_names_in_a_saved_configuration() -> None:
-    saved = {"noise": {"_target_": "x", "exploration": 0.1, "rate": 2.0}, "seed": 3}
+    saved = {
+        "noise": {"_target_": "x", "exploration": 0.1, "rate": 2.0},
+        "train": {"seconds": 3.0, "rides": 1},
+    }
     assert current_keys(saved) == {
         "noise": {"_target_": "x", "rate": 2.0},
         "exploration": {"deviation": 0.1},
-        "seed": 3,
+        "train": {"seconds": 3.0, "successes": 1},
     }
     assert "exploration" in saved["noise"]
 

@@ -44,7 +44,7 @@ def test_signal_in_mid_run(
         "edtorch-train",
         "seeds=2",
         "train.seconds=1e6",
-        "train.rides=null",
+        "train.successes=null",
         "log.every=1",
         "hydra.run.dir=run",
     )
@@ -81,7 +81,7 @@ def test_an_interrupted_run_can_be_evaluated_and_ends_after_a_whole_tick(
             os.kill(os.getpid(), signal.SIGTERM)
         return advance(training, ticks)
 
-    options = ("seeds=2", "train.rides=null", "log.figures=false", "eval.episodes=0")
+    options = ("seeds=2", "train.successes=null", "log.figures=false", "eval.episodes=0")
     with monkeypatch.context() as patch:
         patch.setattr(Training, "advance", interrupted)
         command("edtorch-train", *options, "train.seconds=100", "hydra.run.dir=cut")

@@ -181,7 +181,12 @@ def test_the_checkpoint_is_the_last_tick(finished: Path) -> None:
 def test_without_evaluation_and_on_a_world_without_paths(command: Command, workplace: Path) -> None:
     """No evaluation: nulls; every episode of the linear system is a success."""
     result = command(
-        "edtorch-train", *LINEAR, "seeds=2", "train.rides=2", "eval.episodes=0", "hydra.run.dir=x"
+        "edtorch-train",
+        *LINEAR,
+        "seeds=2",
+        "train.successes=2",
+        "eval.episodes=0",
+        "hydra.run.dir=x",
     )
     assert result.status == 0, result.err
     summary = _json(workplace / "x" / "summary.json")

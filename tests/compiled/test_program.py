@@ -37,7 +37,7 @@ def test_a_program_is_named_by_all_that_it_depends_on() -> None:
     assert isinstance(tick.learner, Learner)
     others = [
         training_and_tick([1], budget, kind="rich")[1],
-        replace(tick, most_rides=1),
+        replace(tick, most_successes=1),
         replace(tick, learner=replace(tick.learner, exploration=0.1)),
         replace(tick, world=World(Bicycle(noise=0.01))),
         replace(tick, world=World(Bicycle(), torch.float32)),

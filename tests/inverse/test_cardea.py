@@ -15,7 +15,7 @@ pytest.importorskip(
 from edtorch.inverse.features import FEATURES
 from edtorch.inverse.hand import HandCoordinates
 from edtorch.inverse.layout import Layout
-from edtorch.run.evaluation import evaluate_yardstick
+from edtorch.run.evaluation import evaluate_controller
 from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 from sims.cardea import LIMITS, Cardea, Trouble
@@ -111,7 +111,7 @@ def test_a_wish_of_the_hand_is_granted_by_the_joints() -> None:
 
 def test_computed_torque_is_a_baseline() -> None:
     control = CARDEA.baselines()["computed_torque"]
-    (episodes,) = evaluate_yardstick(control, World(CARDEA), [0], 3)
+    (episodes,) = evaluate_controller(control, World(CARDEA), [0], 3)
     assert [e.outcome for e in episodes] == [Outcome.SUCCEEDED] * 3
     assert max(e.measures["joint_error_rad"] for e in episodes) < 1e-3
 

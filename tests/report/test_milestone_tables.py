@@ -9,13 +9,13 @@ import pytest
 
 from edtorch.report.charts import charts
 from edtorch.report.comparison import Comparison, compare_all
-from edtorch.report.document import document
-from edtorch.report.document import milestones as milestone_tables
+from edtorch.report.document import document, milestone_tables
 from edtorch.report.domain import Domain
 from edtorch.report.groups import sections
 from edtorch.report.html import html
-from edtorch.report.milestones import Checkpoint, checkpoints
+from edtorch.report.milestones import checkpoint_figures
 from edtorch.report.runs import load_all
+from edtorch.run.milestones import Checkpoint
 from sims.bicycle.bicycle import PATH_LENGTH, WORDS
 from tests.report.folders import learners, spread
 
@@ -34,7 +34,7 @@ HISTORY = [
 
 
 def test_checkpoints_stand_beside_each_other() -> None:
-    found = checkpoints(HISTORY, BICYCLE)
+    found = checkpoint_figures(HISTORY, BICYCLE)
     assert [c["seconds"]["per_seed"] for c in found] == [
         [10, 10, 10],
         [20, 25, None],

@@ -7,17 +7,16 @@ import math
 import pytest
 
 from edtorch.report.statistics import (
-    FirstSuccess,
     Spread,
     aliases,
     by_row,
     evaluation_figures,
-    first_success,
+    first_success_figures,
     generic_figures,
     is_defined,
-    learning_figures,
 )
 from edtorch.run.episodes import Episode
+from edtorch.run.milestones import first_success
 from sims.base import DEFAULT_WORDS, Measure, Outcome
 from sims.bicycle.bicycle import WORDS, Bicycle
 
@@ -44,30 +43,6 @@ def _episodes(
     return episodes
 
 
-class TestFirstSuccess:
-    def test_failures_and_seconds_until_it_starts(self) -> None:
-        episodes = _episodes((2, FELL), (3, FELL), (400, RODE), (5, FELL), (300, RODE))
-        assert first_success(episodes, 710) == FirstSuccess(True, 2, 5, 1)
-
-    def test_the_time_limit_counts_where_it_is_a_success(self) -> None:
-        ends = ((2, FELL), (1000, LATE))
-        assert first_success(_episodes(*ends), 1002) == FirstSuccess(True, 1, 2, 0)
-        late = _episodes(*ends, survival=False)
-        assert first_success(late, 1002) == FirstSuccess(False, 1, 1002, 0)
-
-    def test_at_once(self) -> None:
-        episodes = _episodes((400, RODE), (2, FELL))
-        assert first_success(episodes, 402) == FirstSuccess(True, 0, 0, 1)
-
-    def test_never_costs_what_it_has_cost_so_far(self) -> None:
-        """The seconds of the unfinished episode count."""
-        episodes = _episodes((2, FELL), (3, FELL))
-        assert first_success(episodes, 60) == FirstSuccess(False, 2, 60, 0)
-
-    def test_no_episode(self) -> None:
-        assert first_success([], 7) == FirstSuccess(False, 0, 7, 0)
-
-
 class TestSpread:
     def test_over_the_seeds_that_have_it(self) -> None:
         spread = Spread([3.0, None, 1.0, math.nan, 10.0])
@@ -90,14 +65,16 @@ def test_learning_figures_keep_learners_apart() -> None:
     slow = _episodes((2, FELL), (4, FELL), (6, FELL), row=1)
     mixed = sorted([*quick, *slow], key=lambda e: e.start + e.seconds)
     assert by_row(mixed, 2) == [quick, slow]
-    figures = learning_figures([quick, slow], [7, 8], [402.0, 30.0])
+    first = [first_success(quick, 402.0), first_success(slow, 30.0)]
+    figures = first_success_figures(first, [7, 8])
     assert figures["failures_before_first_success"]["per_seed"] == [1, 3]
     assert figures["seconds_before_first_success"]["per_seed"] == [2, 30.0]
     assert figures["seconds_before_first_success"]["median"] == 16.0
     assert figures["failures_after_first_success"]["per_seed"] == [0, 0]
     assert figures["never_succeeded"] == [8]
     assert figures["zero_failure_rate"] == 0.0
-    lucky = learning_figures([_episodes((400, RODE), (2, FELL)), []], [7, 8], [402.0, 30.0])
+    first = [first_success(_episodes((400, RODE), (2, FELL)), 402.0), first_success([], 30.0)]
+    lucky = first_success_figures(first, [7, 8])
     # The second has not failed, but has not succeeded either.
     assert lucky["zero_failure_rate"] == 0.5
 
@@ -161,7 +138,7 @@ def test_evaluation_of_nothing() -> None:
 
 
 def test_keys_in_the_words_of_the_domain() -> None:
-    figures = learning_figures([_episodes((2, FELL))], [3], [4.0])
+    figures = first_success_figures([first_success(_episodes((2, FELL)), 4.0)], [3])
     named = aliases(figures, WORDS)
     assert named == {
         "falls_before_first_ride": figures["failures_before_first_success"],

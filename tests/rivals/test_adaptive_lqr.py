@@ -34,7 +34,7 @@ def test_learns_the_system_and_its_regulator() -> None:
     torch.testing.assert_close(weight, known, atol=0.05, rtol=0)
     for account in search.accounts:
         assert account.seconds == pytest.approx(15.0)
-        assert (account.episodes, account.falls, account.rides) == (3, 0, 3)
+        assert (account.episodes, account.failures, account.successes) == (3, 0, 3)
 
 
 def test_doubling_is_the_recursion() -> None:
@@ -64,8 +64,8 @@ def test_falls_are_counted_and_survived() -> None:
     assert bool(weight.isfinite().all())
     for account in search.accounts:
         # 3^t > 1000 / |s_0|: 7 ticks or some more each.
-        assert 5 <= account.falls == account.episodes <= 100 / 7
-        assert account.rides == 0
+        assert 5 <= account.failures == account.episodes <= 100 / 7
+        assert account.successes == 0
 
 
 @pytest.mark.parametrize(

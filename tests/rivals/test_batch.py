@@ -61,8 +61,8 @@ def test_the_record_follows_the_world_and_every_second_is_counted() -> None:
     assert bool((data.terminated ^ data.truncated)[last].all())
     assert not bool((data.terminated | data.truncated)[~last].any())
     assert account.seconds == len(data)
-    assert (account.episodes, account.falls) == (200, 0)
-    assert account.rides == int(data.terminated.sum()) > 0
+    assert (account.episodes, account.failures) == (200, 0)
+    assert account.successes == int(data.terminated.sum()) > 0
 
 
 def test_the_controller_is_uniform() -> None:
@@ -89,7 +89,7 @@ def test_an_episode_depends_on_seed_and_number_alone() -> None:
 def test_falls_end_episodes() -> None:
     world, account = World(Bicycle()), Account()
     data = _collect(world, action_set(BatchSettings(), world), 0, range(5), None, account)
-    assert account.falls == account.episodes == 5 == int(data.failed.sum())
+    assert account.failures == account.episodes == 5 == int(data.failed.sum())
     lean = data.next_state[:, 0]  # in units of 12 degrees
     assert (lean.abs() > 1).equal(data.failed)
 

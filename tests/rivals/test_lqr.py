@@ -41,7 +41,7 @@ def test_gain_solves_the_riccati_equation() -> None:
     search.advance([True, False, True], pause)
     assert search.done == [True, False, True]
     torch.testing.assert_close(search.parameters["weight"], theta.expand(3, -1, -1))
-    assert all((a.seconds, a.episodes, a.falls) == (0.0, 0, 0) for a in search.accounts)
+    assert all((a.seconds, a.episodes, a.failures) == (0.0, 0, 0) for a in search.accounts)
 
 
 def test_the_bicycle_is_linearised_upright_and_straight() -> None:

@@ -85,7 +85,7 @@ def test_every_simulation_is_paid(central: bool) -> None:
     simulations = 7 * ((2 if central else 1) + 1 + 3)
     assert [a.episodes for a in search.accounts] == [simulations, 0]
     assert search.accounts[0].seconds == pytest.approx(simulations * 0.5 * TICKS)
-    assert search.accounts[0].rides == simulations
+    assert search.accounts[0].successes == simulations
 
 
 def test_an_episode_that_is_cut_is_no_ride() -> None:
@@ -93,7 +93,7 @@ def test_an_episode_that_is_cut_is_no_ride() -> None:
     search = settings.begin(scalar())
     search.advance([True, True], pause)
     account = search.accounts[0]
-    assert account.rides == account.falls == 0
+    assert account.successes == account.failures == 0
     assert account.seconds == pytest.approx(2.0 * account.episodes)
 
 
@@ -110,7 +110,7 @@ def test_the_rest_is_charged_after_a_fall() -> None:
     expected = float((-20.0 * (100.0 - 0.5 * ticks)).mean())
     # The states themselves cost 1e-12 (1000)^2 per second at most.
     assert search.values[0] == pytest.approx(expected, abs=1e-4)
-    assert search.accounts[0].falls == search.accounts[0].episodes
+    assert search.accounts[0].failures == search.accounts[0].episodes
 
 
 @pytest.mark.parametrize("discount", [1.0, 0.7])
@@ -142,7 +142,7 @@ def test_sparse_reward_is_the_reward() -> None:
         ("difference", 0.0, "a number > 0"),
         ("longest", math.nan, "a number > 0"),
         ("horizon", -1.0, "a number > 0"),
-        ("fall_cost", -1.0, "a number >= 0"),
+        ("failure_cost", -1.0, "a number >= 0"),
         ("discount", 1.1, r"a number in \(0, 1\]"),
     ],
 )

@@ -13,7 +13,7 @@ from torch import Tensor
 from edtorch.model.features import Identity
 from edtorch.policy.policies import LinearPolicy
 from edtorch.report.domain import domain_of
-from edtorch.report.milestones import milestones
+from edtorch.report.milestones import milestone_figures
 from edtorch.report.proportions import Proportion, same_rate
 from edtorch.rivals.episodes import looped, one_tick, scanned
 from edtorch.rivals.random_search import (
@@ -262,11 +262,11 @@ def test_footnote_1(six: bool, goal: int, stable: int, total: int) -> None:
     assert abs(distance - (1008 if six else 1006)) < 4
 
 
-def test_what_a_search_had_paid_at_its_milestones() -> None:
+def test_what_a_search_had_paid_at_its_milestone_figures() -> None:
     """Policy after policy, each dropped at its first failure: counted here run by run."""
     found = _search(FEW, _short_ride())
     names = {"stable": Outcome.FAILED, "goal": Outcome.SUCCEEDED}
-    told = milestones([found.history(0.01, 1e-3)], [5], BICYCLE)
+    told = milestone_figures([found.history(0.01, 1e-3)], [5], BICYCLE)
     for name, wanted in names.items():
         episodes = falls = ticks = 0
         for outcomes, lasted in zip(found.outcome.tolist(), found.ticks.tolist(), strict=True):
@@ -294,7 +294,7 @@ def test_what_a_search_had_paid_at_its_milestones() -> None:
 def test_a_search_without_milestones_has_paid_for_all_of_it() -> None:
     world = World(LinearSystem([[3.0]], [[0.0]], dt=1.0, time_limit=50.0))
     found = _search(RandomSearch(policies=5, runs=3, slots=4, look=3), world)
-    told = milestones([found.history(1.0, 0.0)], [8], BICYCLE)
+    told = milestone_figures([found.history(1.0, 0.0)], [8], BICYCLE)
     for name in ("stable", "goal"):
         assert told[name]["never"] == [8]
         assert told[name]["episodes"]["per_seed"] == [found.episodes] == [5]

@@ -72,7 +72,7 @@ def test_a_failure_costs() -> None:
     search.gradient([0], pause)
     share = math.erfc(1 / 0.5 / math.sqrt(2))
     account = search.accounts[0]
-    assert account.falls / account.episodes == pytest.approx(share, abs=0.01)
+    assert account.failures / account.episodes == pytest.approx(share, abs=0.01)
     cost = 20.0 * 0.9 / -math.log(0.9)
     # Four standard errors of the weight of s^2, whose standard deviation is .3.
     error = 4 * cost * math.sqrt(share / 10_000) / 0.3
@@ -94,7 +94,7 @@ def test_what_is_paid() -> None:
     idle, busy = search.accounts
     assert (idle.episodes, busy.episodes) == (0, 15)
     assert busy.seconds == pytest.approx(15 * 2.0)
-    assert busy.falls == busy.rides == 0
+    assert busy.failures == busy.successes == 0
     assert bool((search.parameters["weight"][0] == 0).all())
 
 
@@ -107,7 +107,7 @@ def test_what_is_paid() -> None:
         ("alpha", math.nan, "a number > 0"),
         ("horizon", 0.0, "a number > 0"),
         ("beta", -1.0, "a number >= 0"),
-        ("fall_cost", -1.0, "a number >= 0"),
+        ("failure_cost", -1.0, "a number >= 0"),
         ("discount", 1.0, r"a number between 0 and 1 \(per second\)"),
     ],
 )

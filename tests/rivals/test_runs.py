@@ -14,7 +14,7 @@ from edtorch.rewards import QuadraticReward
 from edtorch.rivals.episodes import looped, one_tick, scanned
 from edtorch.rivals.reinforce import LikelihoodRatio
 from edtorch.rivals.returns import Return, SparseReward
-from edtorch.rivals.runs import Runs, can_try, fresh_episodes
+from edtorch.rivals.runs import Runs, can_try, evaluator, fresh_episodes
 from edtorch.run.hashing import Use, hash_key, normals, uniform
 from edtorch.run.scaled_sim import World
 from sims.base import Outcome
@@ -116,7 +116,7 @@ def test_fresh_episodes() -> None:
     """As their outcomes and ticks say; those of a seed do not depend on what is tried beside it."""
     world = _world()
     policy = LinearPolicy(5, 2, Identity(5))
-    runs = Runs(world, policy, mode="off", slots=4)
+    runs = evaluator(world, policy, mode="off", slots=4)
     weight = _weights(2)
     both = fresh_episodes(runs, world, weight, [4, 9], 3, pause)
     alone = fresh_episodes(runs, world, weight[1:], [9], 3, pause)
@@ -128,6 +128,29 @@ def test_fresh_episodes() -> None:
         assert (int(episode.outcome), round(episode.seconds / 0.01)) == (outcome, ticks)
         length = episode.measures["path_length_m"]
         assert length == pytest.approx(episode.seconds * 10 / 3.6)
+
+
+@pytest.mark.parametrize("threshold", [None, -3.0])
+def test_fresh_episodes_have_return_and_success(threshold: float | None) -> None:
+    """The undiscounted sum of dt r over a plain loop; a success by the rules of the world."""
+    sim = Bicycle(time_limit=0.5)
+    world = World(sim, reward=_reward(), success_return=threshold)
+    policy, weight, key = LinearPolicy(5, 2, Identity(5)), _weights(1), _keys(4)
+    key = hash_key(Use.FRESH, 3, torch.arange(4))
+    runs = evaluator(world, policy, mode="off", slots=4)
+    (own,) = fresh_episodes(runs, world, weight, [3], 4, pause)
+    for episode in own:
+        state = world.initial(uniform(key[episode.number, None], torch.tensor([0]), world.uniforms))
+        total = 0.0
+        for ticks in range(1, round(episode.seconds / 0.01) + 1):
+            observation, clock = world.observe(state), torch.tensor([ticks])
+            action = world.clip(observation @ weight[0].T)
+            total += 0.01 * float(_reward()(observation, action))
+            numbers = uniform(key[episode.number, None], clock, world.uniforms)
+            state = world.step(state, action, numbers)
+        assert episode.total_reward == pytest.approx(total, rel=1e-9)
+        lasted = episode.seconds == pytest.approx(0.5)
+        assert episode.success is (lasted if threshold is None else total >= threshold)
 
 
 def test_what_can_be_tried_so() -> None:

@@ -62,7 +62,7 @@ def test_has_the_defaults_of_stable_baselines() -> None:
         ({"steps": 0}, r"steps=0: expected an integer >= 1"),
         ({"growth": 0.9}, r"growth=0\.9: expected a number in \[1, 10\]"),
         ({"repeat": 0}, r"repeat=0: expected an integer >= 1"),
-        ({"fall_penalty": -1.0}, r"fall_penalty=-1\.0: expected a finite number, 0 or more"),
+        ({"failure_penalty": -1.0}, r"failure_penalty=-1\.0: expected a finite number, 0 or more"),
         ({"reward_scale": 0.0}, r"reward_scale=0\.0: expected a finite number > 0"),
         ({"learning_rate": float("nan")}, r"learning_rate=nan: expected a finite number > 0"),
         ({"discount": 1.5}, r"discount=1\.5: expected a number in \[0, 1\]"),

@@ -287,7 +287,7 @@ def test_what_is_paid_is_what_was_simulated(monkeypatch: pytest.MonkeyPatch) -> 
     assert search.accounts[1].seconds == 100.0
     account = search.accounts[1]
     assert account.episodes > other > 0
-    assert account.falls + account.rides == account.episodes
+    assert account.failures + account.successes == account.episodes
     assert account.first is not None and account.goal is not None
     assert account.goal.seconds <= account.goal.paid <= account.seconds
     assert search.done == [False, False]

@@ -71,7 +71,12 @@ def test_the_time_limit_truncates() -> None:
     assert ended.all() and infos[0]["TimeLimit.truncated"]
     np.testing.assert_allclose(infos[0]["terminal_observation"], start[0] * PULL**6, rtol=1e-5)
     assert observation[0, 0] != infos[0]["terminal_observation"][0]
-    assert (account.seconds, account.episodes, account.rides, account.falls) == (3.0, 1, 1, 0)
+    assert (account.seconds, account.episodes, account.successes, account.failures) == (
+        3.0,
+        1,
+        1,
+        0,
+    )
 
 
 def test_falls_cost_their_penalty_and_are_counted() -> None:
@@ -101,7 +106,7 @@ def test_falls_cost_their_penalty_and_are_counted() -> None:
             )
             # The next episode has begun: upright, at rest.
             assert np.abs(found[0, :4]).max() == 0
-    assert (account.episodes, account.falls, account.rides) == (1, 1, 0)
+    assert (account.episodes, account.failures, account.successes) == (1, 1, 0)
     assert account.seconds == pytest.approx(tick * 0.01, abs=1e-12)
 
 
@@ -112,7 +117,7 @@ def test_every_simulated_second_is_paid_once() -> None:
     envs.reset()
     for _ in range(40):
         _step(envs, np.ones((4, 2), dtype=np.float32))
-    assert account.falls == account.episodes >= 4
+    assert account.failures == account.episodes >= 4
     whole = 40 * 7 * 4 * 0.01
     # A fall wastes at most six of the seven ticks of its decision.
     assert whole - account.episodes * 6 * 0.01 - 1e-9 <= account.seconds < whole

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from edtorch.run.episodes import Budget
-from edtorch.run.evaluation import evaluate, evaluate_yardstick
+from edtorch.run.evaluation import evaluate, evaluate_controller
 from edtorch.run.random import Purpose, Streams, stream_key
 from edtorch.run.scaled_sim import World
 from edtorch.run.training import Training
@@ -92,5 +92,5 @@ def test_a_world_without_anything_that_lasts_starts_as_ever() -> None:
         seen.append(state)
         return torch.zeros(len(state), 2, dtype=torch.float64)
 
-    evaluate_yardstick(look, world, [1, 2], 2)
+    evaluate_controller(look, world, [1, 2], 2)
     assert torch.equal(seen[0], wanted)

@@ -136,7 +136,7 @@ def test_what_a_frozen_policy_lived_through_teaches_the_same_again() -> None:
         sum(e.outcome is Outcome.FAILED for e in training.episodes if e.row == k) for k in (0, 1)
     ]
     assert min(falls) >= 2
-    assert offline.snapshot().falls == falls
+    assert offline.snapshot().failures == falls
     found = [(e.row, e.number, e.outcome) for e in offline.episodes]
     assert sorted(found) == sorted((e.row, e.number, e.outcome) for e in training.episodes)
     for one, other in zip(
@@ -203,8 +203,8 @@ def test_budgets_cut_the_data() -> None:
     succeeded = np.zeros(len(DATA), dtype=bool)
     succeeded[60 + 15] = True
     ridden = with_fields(DATA, succeeded=succeeded, terminated=succeeded)
-    assert count(Budget(rides=1), ridden) == 16
-    assert count(Budget(rides=2), ridden) == 60
+    assert count(Budget(successes=1), ridden) == 16
+    assert count(Budget(successes=2), ridden) == 60
 
 
 def test_only_what_is_within_bounds_is_learned_from() -> None:

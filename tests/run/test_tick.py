@@ -64,7 +64,7 @@ def test_a_tick_needs_no_other_device() -> None:
         policy=cast(Any, learner.policy).to(meta),
         value=to_device(learner.value, meta),
     )
-    tick = Tick(learner, world, most_rides=1)
+    tick = Tick(learner, world, most_successes=1)
     draw = Draw(torch.empty(8, world.uniforms, device=meta), torch.empty(8, 2, device=meta))
     here = tick.first(learner.initial(range(8)), world.initial(draw.uniform))
     clock = torch.empty((), dtype=torch.int64, device=meta)

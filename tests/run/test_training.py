@@ -125,8 +125,8 @@ def test_budgets_count_per_learner() -> None:
     assert [sum(e.row == k for e in episodes.episodes) for k in (0, 1)] == [2, 2]
     # A disc as large as the start reaches: every episode succeeds within a tick.
     goal = Bicycle(goal_radius=1002.0)
-    rides = run(bicycle_training([0], Budget(rides=3, seconds=100.0), sim=goal))
-    assert rides.worlds.successes.tolist() == [3] and rides.clock == 3
+    met = run(bicycle_training([0], Budget(successes=3, seconds=100.0), sim=goal))
+    assert met.worlds.successes.tolist() == [3] and met.clock == 3
     with pytest.raises(ValueError, match="no budget"):
         Budget()
 
@@ -135,7 +135,9 @@ def test_a_time_out_is_a_ride_and_a_fall_is_none() -> None:
     training = run(bicycle_training([0], Budget(episodes=4), sim=Bicycle(time_limit=1.0)))
     outcomes = [e.outcome for e in training.episodes]
     assert Outcome.TIMED_OUT in outcomes
-    assert training.worlds.successes.item() == sum(e.is_ride for e in training.episodes)
+    assert training.worlds.successes.item() == sum(
+        e.success is not False and e.outcome != Outcome.FAILED for e in training.episodes
+    )
     assert training.worlds.failures.item() == outcomes.count(Outcome.FAILED)
     assert all(e.seconds <= 1.0 + 1e-9 for e in training.episodes)
 
