@@ -27,7 +27,7 @@ from edtorch.compiled.tiles import Tiles
 from edtorch.errors import CovarianceFloored
 from edtorch.learner.learner import Learner
 from edtorch.report.domain import Domain
-from edtorch.run.log import Sink, TensorBoardSink
+from edtorch.run.log import ConsoleSink, Sink, TensorBoardSink
 from edtorch.run.recorder import Recorder
 from edtorch.run.training import Training
 from edtorch.types import Parameters
@@ -82,6 +82,16 @@ class Job:
     def title(self) -> str:
         """The domain, and how many learn in it."""
         return f"{self.setup.world.spec.name}, {len(self.setup.seeds)} learners"
+
+    def console_sink(self) -> ConsoleSink:
+        """The line on the way, with what the domain counts."""
+        domain = self.evaluations.domain
+        return ConsoleSink(
+            self.console,
+            words=domain.words,
+            can_fail=domain.can_fail,
+            can_succeed=domain.survival is not None,
+        )
 
     @property
     def _precision(self) -> str:

@@ -28,6 +28,7 @@ from edtorch.report.statistics import (
 from edtorch.report.text import number
 from edtorch.run.episodes import Episode
 from edtorch.run.milestones import FirstSuccess, first_success
+from edtorch.run.success import settled
 from edtorch.run.training import Training
 from edtorch.types import LearnerState
 
@@ -120,10 +121,11 @@ def timing_figures(timing: Timing, job: Learned) -> dict[str, Any]:
 def summarise(training: Training, timing: Timing, evaluations: Evaluations) -> dict[str, Any]:
     """The content of ``summary.json``, after at least one evaluation in full: that of the end."""
     lived = (training.learners.tick.to(torch.float64) * training.world.dt).tolist()
-    own = by_row(training.episodes, len(training.seeds))
+    last = evaluations.done[-1]
+    everything = [*training.episodes, *(e for each in last.episodes for e in each)]
+    own = by_row(settled(training.episodes, everything), len(training.seeds))
     first = [first_success(each, seconds) for each, seconds in zip(own, lived, strict=True)]
     lost = sum(training.lost_episodes)
-    last = evaluations.done[-1]
     return {
         **result_figures(evaluations.domain, training.seeds, last.episodes, own, first),
         **({"lost_episodes": lost} if lost else {}),
@@ -150,13 +152,13 @@ def summary_table(summary: Mapping[str, Any], domain: Domain, title: str) -> Tab
 
 
 def never_succeeded(summary: Mapping[str, Any], domain: Domain, most: int = 20) -> str | None:
-    """The line that names the seeds without a success; None without any."""
+    """The line that names the seeds without a success while learning; None without any."""
     seeds = summary.get("never_succeeded")
     if not seeds:
         return None
     listed = ", ".join(map(str, seeds[:most]))
     more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
-    return f"never {domain.words.succeeded}: seeds {listed}{more}"
+    return f"never {domain.words.succeeded} while learning: seeds {listed}{more}"
 
 
 def medians(summary: dict[str, Any]) -> dict[str, float]:

@@ -25,7 +25,7 @@ from edtorch.app.settings import Settings
 from edtorch.app.signals import Interrupted, Stop
 from edtorch.app.summary import never_succeeded, summary_table
 from edtorch.report.domain import RETURN
-from edtorch.run.log import ConsoleSink, StderrHandler
+from edtorch.run.log import StderrHandler
 
 logger = logging.getLogger("edtorch")
 
@@ -36,7 +36,7 @@ def _train(job: Job, folder: Path, began: float) -> dict[str, Any]:
     timing.startup_s = time.monotonic() - began
     sinks, board = open_sinks(job, folder)
     if job.config.log.progress:
-        sinks.append(ConsoleSink(console, words=job.evaluations.domain.words))
+        sinks.append(job.console_sink())
     try:
         job.learn(sinks, lambda job, ended: save_learned(job, folder, ended=ended))
         job.evaluate()

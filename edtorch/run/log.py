@@ -188,11 +188,24 @@ class TensorBoardSink:
 
 
 class ConsoleSink:
-    """One live line on a terminal; elsewhere a line every ``quiet`` wall seconds."""
+    """One live line on a terminal; elsewhere a line every ``quiet`` wall seconds.
 
-    def __init__(self, console: Console, quiet: float = 10.0, words: Words = DEFAULT_WORDS) -> None:
+    can_fail, can_succeed: whether the domain declares it; otherwise failures and successes are
+    counted from the first one on, and without either the episodes are.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        quiet: float = 10.0,
+        words: Words = DEFAULT_WORDS,
+        *,
+        can_fail: bool = True,
+        can_succeed: bool = True,
+    ) -> None:
         self._console = console
         self._words = words
+        self._declared = can_fail, can_succeed
         self._quiet = quiet
         self._last_printed = -math.inf  # the first line at once
         self._last_seconds, self._last_time = 0.0, time.monotonic()
@@ -207,8 +220,7 @@ class ConsoleSink:
         speed = (snapshot.seconds - self._last_seconds) / max(now - self._last_time, 1e-9)
         self._last_seconds, self._last_time = snapshot.seconds, now
         line = (
-            f"{snapshot.seconds:6.0f} s  {self._words.failures} {_spread(snapshot.failures)}  "
-            f"{self._words.successes} {_spread(snapshot.successes)}  "
+            f"{snapshot.seconds:6.0f} s  {self._counts(snapshot)}  "
             f"value {median(snapshot.value):.3g}  "
             f"{sum(snapshot.active)}/{len(snapshot.seeds)} learning  {speed:.0f} s per s"
         )
@@ -218,6 +230,18 @@ class ConsoleSink:
         elif now - self._last_printed >= self._quiet:
             self._last_printed = now
             self._console.print(line, soft_wrap=True, highlight=False)
+
+    def _counts(self, snapshot: Snapshot) -> str:
+        counted = (
+            (self._words.failures, snapshot.failures),
+            (self._words.successes, snapshot.successes),
+        )
+        told = [
+            f"{name} {_spread(counts)}"
+            for (name, counts), declared in zip(counted, self._declared, strict=True)
+            if declared or any(counts)
+        ]
+        return "  ".join(told) or f"episodes {_spread(snapshot.episodes)}"
 
     def close(self) -> None:
         """Leave the terminal as it was."""
