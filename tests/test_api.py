@@ -203,7 +203,7 @@ def test_local_objects_must_be_given_again(tmp_path: Path) -> None:
 
 def test_a_sim_is_an_environment(tmp_path: Path) -> None:
     sim = LinearSystem([[1.01]], [[0.1]], dt=0.1, time_limit=3.0)
-    run = learn(sim, dt=None, time_limit=None, target={"s0": 0.0}, save=tmp_path / "mine")
+    run = learn(sim, dt=None, time_limit=None, target={"state_0": 0.0}, save=tmp_path / "mine")
     assert run.policy.predict([0.5]).shape == (1,)
     with pytest.raises(ValueError, match="domain: was an object"):
         edtorch.load(tmp_path / "mine")

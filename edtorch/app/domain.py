@@ -18,10 +18,10 @@ METHODS = ("initial", "restart", "step", "observe", "outcome", "measures")
 """Of a ``Sim``."""
 
 
-def build_sim(config: Any) -> Sim:
-    """The domain."""
+def build_sim(config: Any, key: str = "domain") -> Sim:
+    """The domain; key: of the settings, for messages."""
     if not is_given(config):
-        return construct("domain", config, *METHODS)
+        return construct(key, config, *METHODS)
     sim = given_part("domain", config)
     lacking = [name for name in ("spec", *METHODS) if not hasattr(sim, name)]
     if lacking:
