@@ -11,7 +11,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import torch
@@ -21,24 +21,23 @@ from torch import nn
 from edtorch.app.arguments import (
     World,
     budget_overrides,
-    check_kinds,
     domain_of,
     in_arguments,
     reward_of,
 )
-from edtorch.app.build import build
 from edtorch.app.compose import compose
 from edtorch.app.domain import build_sim
 from edtorch.app.errors import EXPECTED, ConfigError, one_line
 from edtorch.app.given import Given, with_objects
-from edtorch.app.job import Job
-from edtorch.app.learned import Run, copied, new_folder, read_records, read_summary
+from edtorch.app.job import Job, Work
+from edtorch.app.learned import Run, copied, read_records, read_summary
 from edtorch.app.outputs import Memory, write_run
 from edtorch.app.policies import frozen_world, stored_policies
 from edtorch.app.rundir import POLICY, SUMMARY, as_settings, read_config
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
-from edtorch.run.log import Sink, StderrHandler
+from edtorch.app.work import prepared
+from edtorch.run.log import ConsoleSink, Sink, StderrHandler
 from sims.base import Sim
 
 logger = logging.getLogger("edtorch")
@@ -72,7 +71,6 @@ def learn(
     save: str | Path | None = None,
     time_limit: float | None = None,
     scale: Mapping[str, float] | None = None,
-    termination: Literal["failure", "success"] | None = None,
 ) -> Run:
     """Let ``seeds`` learners, with the seeds ``seed``, ``seed + 1``, ..., learn to control ``env``.
 
@@ -98,19 +96,16 @@ def learn(
     - ``angles``: names of components in radians, or by name ``"deg"`` or the names of a pair
       (cosine, sine), which becomes one angle; ``rates``: by name of a rate the component that it is
       the rate of.
-    - ``termination``: what it means that the environment terminates an episode, where neither its
-      ``info["is_success"]`` nor its registered threshold tells: by default a failure.
     - ``progress``: whether to print on the way; ``save``: a folder for ``Run.save``.
 
     Ctrl-C ends learning after the tick; the run then holds what there is.  Raises ValueError with
     one line for whatever is wrong with the arguments.
     """
-    world = World(dt, time_limit, names, action_names, angles, rates, scale, termination)
+    world = World(dt, time_limit, names, action_names, angles, rates, scale)
     stop, began = Stop(), time.monotonic()
     console = Console(quiet=not progress)
     own = reward is not None or policy is not None
     with _refusing():
-        check_kinds(dict(target=target, weights=weights, overrides=overrides) | world.kinds())
         config = compose(
             [
                 f"experiment={preset}",
@@ -127,29 +122,22 @@ def learn(
         if policy is not None:
             config = with_objects(config, {"policy": {"given": Given(policy)}})
         _check_copies(config, seeds)
-        setup = build(config)
-        spec, chosen = setup.world.spec, seconds is not None or episodes is not None
-        budget = setup.budget.in_words(spec.words.successes)
-        console.print(
-            f"{spec.name}: preset {preset}, {len(setup.seeds)} learners, at most {budget} each"
-            f"{'' if chosen else ' (the budget of the preset)'}",
-            soft_wrap=True,
-            highlight=False,
-        )
-        if save is not None:
-            new_folder(Path(save))
+        _, begin = prepared(config)
+        memory = Memory()
         with _threads(config.compute.threads), stop.listening(ending=False), _messages(progress):
-            job = Job(setup, config, stop, console)
+            work = begin()
+            console.print(_first_line(work, preset, seconds, episodes), soft_wrap=True)
+            sinks = [memory, ConsoleSink(console)] if config.log.progress else [memory]
+            job = Job(work, config, stop, console, sinks, lambda work, ended: None)
             job.timing.startup_s = time.monotonic() - began
-            memory = Memory()
-            interrupted = _run(job, memory)
+            interrupted = _interrupted(job, sinks)
         run = Run(
-            seeds=setup.seeds,
-            actor=setup.learner.policy,
-            parameters=job.policies,
-            observer=setup.learner.observer,
-            world=setup.calm,
-            records=job.training.episodes,
+            seeds=work.card.seeds,
+            actor=work.actor,
+            parameters=work.parameters,
+            observer=work.observer,
+            world=work.world,
+            records=work.episodes,
             summary=job.summary(),
             write=lambda folder: write_run(job, memory, folder, interrupted=interrupted),
             interrupted=interrupted,
@@ -239,16 +227,21 @@ def _messages(progress: bool) -> Iterator[None]:
         logger.propagate = before[1]
 
 
-def _run(job: Job, memory: Memory) -> bool:
+def _first_line(work: Work, preset: str, seconds: float | None, episodes: int | None) -> str:
+    line = f"{work.title}: preset {preset}"
+    if work.budget is None:
+        return line
+    chosen = "" if seconds is not None or episodes is not None else " (the budget of the preset)"
+    budget = work.budget.in_words(work.world().spec.words.successes)
+    return f"{line}, at most {budget} each{chosen}"
+
+
+def _interrupted(job: Job, sinks: Sequence[Sink]) -> bool:
     """Learn and evaluate; returns whether that was interrupted."""
-    sinks: list[Sink] = [memory]
-    if job.config.log.progress:
-        sinks.append(job.console_sink())
     try:
-        job.learn(sinks, lambda job, ended: None)
+        job.run()
         job.evaluate()
     except KeyboardInterrupt:
-        job.evaluations.leave_out(job.training)
         return True
     finally:
         for sink in sinks:

@@ -143,8 +143,7 @@ class NoInverse:
 class Inverse:
     """features: name of those of the inverse model, or a ``_target_``; form, gain, limit: of the
     policy, see ``edtorch.inverse.policy.InversePolicy``; every, recent: see
-    ``edtorch.inverse.learner.InverseLearner``; trust_acceleration, trust_speed: see its
-    ``SampleWeight``."""
+    ``edtorch.inverse.learner.InverseLearner``; trust: its ``Trust``."""
 
     variant: str = "learned"
     features: Any = "structured"

@@ -22,7 +22,6 @@ from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.random import Purpose, Streams, stream_key
 from edtorch.run.scaled_sim import World
-from edtorch.run.success import settled
 from edtorch.types import Parameters
 from sims.base import Outcome
 
@@ -81,6 +80,8 @@ class Run:
     def policy(self) -> Policy:
         """The best of ``policies``, by success, then failures, then return in episodes that count
         for nothing else."""
+        if not self.seeds:
+            raise ValueError("policy: the search found none that always succeeds")
         if len(self.seeds) == 1:
             return self.policies[0]
         judged = self._fresh(JUDGED, Purpose.JUDGING)
@@ -143,7 +144,9 @@ class Run:
     def save(self, folder: str | Path) -> Path:
         """Write a complete run folder, for ``edtorch.load``, ``edtorch-eval`` and
         ``edtorch-report``.  Raises ValueError if the folder holds something already."""
-        path = new_folder(Path(folder))
+        path = Path(folder)
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise ValueError(f"folder={path}: expected a new or empty folder")
         self._write(path)
         return path
 
@@ -161,18 +164,6 @@ class Run:
 
     def _of(self, row: int) -> Parameters:
         return {name: p[row : row + 1] for name, p in self._parameters.items()}
-
-
-def new_folder(path: Path) -> Path:
-    """Make it, unless there is an empty one.  Raises ValueError."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        if not any(path.iterdir()):
-            return path
-    except OSError as error:
-        why = f"a folder to write to ({error.strerror})"
-        raise ValueError(f"folder={path}: expected {why}") from error
-    raise ValueError(f"folder={path}: expected a new or empty folder")
 
 
 def figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, list[float | None]]:
@@ -200,12 +191,12 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 def read_records(path: Path, seeds: Sequence[int]) -> list[Episode]:
-    """The episodes in an ``episodes.csv``; a success that was open when a row was written is
-    settled, but for files without that column."""
+    """The episodes in an ``episodes.csv``; none where a method keeps none."""
+    if not path.exists():
+        return []
     known = {"seed", "episode", "start_s", "seconds", "outcome", "return", "success"}
     with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        found = [
+        return [
             Episode(
                 row=list(seeds).index(int(row["seed"])),
                 number=int(row["episode"]),
@@ -216,9 +207,8 @@ def read_records(path: Path, seeds: Sequence[int]) -> list[Episode]:
                 total_reward=_number(row.get("return", "")),
                 success=None if not row.get("success") else bool(int(row["success"])),
             )
-            for row in reader
+            for row in csv.DictReader(file)
         ]
-    return settled(found, found) if "success" in (reader.fieldnames or ()) else found
 
 
 def _number(text: str) -> float:

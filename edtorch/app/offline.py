@@ -1,4 +1,4 @@
-"""The job behind ``edtorch-train offline=recorded``: learn from files, leave a run folder."""
+"""Learning from files, ``edtorch-train offline=recorded``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import torch
-from rich.console import Console
+from rich.table import Table
 
 from edtorch.app.build import Setup, build
 from edtorch.app.checks import at_least
@@ -19,38 +19,24 @@ from edtorch.app.domain import described
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.evaluations import Evaluation
 from edtorch.app.inverse import has_inverse
+from edtorch.app.job import Job, Work
 from edtorch.app.random_search import is_rival
-from edtorch.app.rundir import (
-    CHECKPOINT,
-    POLICY,
-    SUMMARY,
-    TRANSITIONS,
-    json_text,
-    settings_text,
-)
+from edtorch.app.rundir import CHECKPOINT, TRANSITIONS
 from edtorch.app.settings import Settings
-from edtorch.app.signals import Stop
-from edtorch.app.summary import (
-    Timing,
-    broken,
-    flat_settings,
-    medians,
-    result_figures,
-    summary_table,
-    timing_figures,
-)
+from edtorch.app.summary import broken, not_finite, result_figures, summary_table
 from edtorch.errors import CovarianceFloored
 from edtorch.learner.learner import Learner
 from edtorch.report.domain import Domain
 from edtorch.report.milestones import milestone_figures
 from edtorch.report.statistics import Spread, by_row
-from edtorch.run.checkpoint import save_policy, write_atomically, write_text
+from edtorch.run.checkpoint import PolicyCard, write_atomically
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
-from edtorch.run.log import ConsoleSink, CsvSink, Sink, TensorBoardSink
+from edtorch.run.log import Snapshots
 from edtorch.run.milestones import FirstSuccess, checkpoint
 from edtorch.run.offline import Lessons, Offline, learn
 from edtorch.run.transitions_file import Invalid, Recorded, joined, load_transitions
+from edtorch.types import Parameters
 from sims.base import Outcome
 
 logger = logging.getLogger("edtorch")
@@ -162,31 +148,6 @@ def build_offline(config: Settings) -> OfflineSetup:
     return OfflineSetup(setup, offline, own.steps, masked)
 
 
-class _Report:
-    """Rows of metrics on the way; it also looks for a stop."""
-
-    def __init__(self, offline: Offline, sinks: list[Sink], stop: Stop, every: float) -> None:
-        self._offline = offline
-        self._sinks = sinks
-        self._stop = stop
-        self._every = every
-        self._next = every
-
-    def note(self) -> None:
-        """After a piece."""
-        if self._stop.asked:
-            raise KeyboardInterrupt
-        if self._offline.seconds >= self._next:
-            self._next += self._every
-            self.write([])
-
-    def write(self, episodes: Sequence[Episode]) -> None:
-        """A row for each learner now."""
-        snapshot = self._offline.snapshot()
-        for sink in self._sinks:
-            sink.write(snapshot, episodes)
-
-
 def _warn(offline: Offline) -> None:
     for row, (place, tick) in broken(offline).items():
         logger.warning(
@@ -210,17 +171,6 @@ def _warn(offline: Offline) -> None:
             len(going),
             len(offline.seeds),
         )
-
-
-def _save(folder: Path, offline: Offline) -> None:
-    """What the learners know."""
-    state = offline.learners
-    content = {
-        "seeds": offline.seeds,
-        "clock": offline.clock,
-        "learners": {name: getattr(state, name) for name in state.__dataclass_fields__},
-    }
-    write_atomically(folder / CHECKPOINT, lambda partial: torch.save(content, partial))
 
 
 def _milestones(
@@ -247,98 +197,134 @@ def _milestones(
     return milestone_figures(history, offline.seeds, domain)
 
 
-def _summary(
-    job: OfflineSetup, domain: Domain, evaluation: Evaluation, timing: Timing
-) -> dict[str, Any]:
-    """The content of ``summary.json``: a learner's, all experience being that of the data."""
-    offline, episodes = job.offline, evaluation.episodes
-    seeds = offline.seeds
-    own = by_row(offline.episodes, len(seeds))
-    failures = [sum(e.outcome is Outcome.FAILED for e in each) for each in own]
-    first = [
-        FirstSuccess(any(e.success for e in fresh), paid, seconds, 0)
-        for fresh, paid, seconds in zip(episodes, failures, offline.experience, strict=True)
-    ]
-    figures: dict[str, list[int]] = {
-        "episodes": [len(each) for each in own],
-        domain.words.failures: failures,
-        "transitions_used": offline.used,
-        "transitions_left_out": offline.unused,
-        "steps": offline.steps.tolist(),
-    }
-    reached = {}
-    if job.setup.world.spec.goal and any(episodes):
-        told = evaluation.as_json(domain)
-        reached = {"evaluations": [told], "final": told}
-    if all(episodes):
-        reached["milestones"] = _milestones(offline, episodes, own, domain, timing.cpu_s)
-    return {
-        **result_figures(domain, seeds, episodes, [], first),
-        **reached,
-        "offline": {
-            **{name: Spread([*counts]).as_json() for name, counts in figures.items()},
-            "masked": job.masked,
-        },
-        "simulated_seconds": offline.experience,
-        **timing_figures(timing, offline),
-    }
+class RecordedLearners(Work):
+    """Learners of recorded transitions."""
 
+    def __init__(self, job: OfflineSetup, config: Settings) -> None:
+        self._job = job
+        self._offline = job.offline
+        self._log_every: float = config.log.every
+        self._count: int = config.eval.episodes
+        setup = job.setup
+        self._domain = described(setup.world)
+        self._snapshots = Snapshots(self._domain.words)
+        self._evaluation = Evaluation(0.0, [[] for _ in setup.seeds])
+        self._took = (0.0, 0.0)
+        self._cpu_s = 0.0
+        self.title = (
+            f"{setup.world.spec.name}, {len(setup.seeds)} learners, from recorded transitions"
+        )
+        self.notes = [f"{self.title}; {setup.path}"]
+        self.seeds, self.budget = setup.seeds, setup.budget
+        self.columns, self.measures = self._snapshots.columns, []
+        self.actor, self.observer = setup.learner.policy, setup.learner.observer
+        self.world = setup.calm
 
-def run_offline(
-    job: OfflineSetup, config: Settings, folder: Path, stop: Stop, console: Console, began: float
-) -> dict[str, Any]:
-    """Learn, evaluate, write everything; returns the content of ``summary.json``."""
-    setup, offline = job.setup, job.offline
-    title = f"{setup.world.spec.name}, {len(setup.seeds)} learners, from recorded transitions"
-    logger.info("%s; %s", title, setup.path)
-    for line in job.masked:
-        logger.warning("masked: %s", line)
-    timing = Timing(startup_s=time.monotonic() - began)
-    domain = described(setup.world)
-    sinks: list[Sink] = [CsvSink(folder, words=domain.words)]
-    board = None
-    if config.log.tensorboard:
-        board = TensorBoardSink(folder, settings_text(config), domain.words)
-        sinks.append(board)
-    if config.log.progress:
-        sinks.append(ConsoleSink(console, words=domain.words))
-    report = _Report(offline, sinks, stop, config.log.every)
-    wall, cpu = time.monotonic(), time.process_time()
-    try:
-        try:
-            with stop.between_ticks():
-                learn(offline, job.steps, report.note, _PIECE)
-        finally:
-            with stop.not_now():
-                timing.wall_s = time.monotonic() - wall
-                timing.cpu_s = time.process_time() - cpu
-                timing.ticks = int(offline.learners.tick.sum())
-                _save(folder, offline)
-                acting = setup.learner.acting(offline.learners)
-                save_policy(folder / POLICY, acting, setup.card)
-        report.write(offline.episodes)
-        _warn(offline)
-        evaluation = _evaluated(job, config.eval.episodes, console, timing)
-        summary = _summary(job, domain, evaluation, timing)
-        if board is not None:
-            board.hparams(flat_settings(config), medians(summary))
-    finally:
-        for sink in sinks:
-            sink.close()
-    write_text(folder / SUMMARY, json_text(summary))
-    console.print(summary_table(summary, domain, title))
-    console.print(f"run folder: {folder}", soft_wrap=True)
-    return summary
+    @property
+    def seconds(self) -> float:
+        """See ``Work``."""
+        return self._offline.seconds
 
+    @property
+    def ticks(self) -> int:
+        """See ``Work``."""
+        return int(self._offline.learners.tick.sum())
 
-def _evaluated(job: OfflineSetup, episodes: int, console: Console, timing: Timing) -> Evaluation:
-    """Fresh episodes of each policy."""
-    setup, began = job.setup, time.monotonic()
-    minutes = math.fsum(job.offline.experience) / len(setup.seeds) / 60
-    found: list[list[Episode]] = [[] for _ in setup.seeds]
-    if episodes:
-        console.print(f"{episodes} fresh episodes for each policy...")
-        acting = setup.learner.acting(job.offline.learners)
-        found = evaluate(setup.learner.policy, acting, setup.calm(), setup.seeds, episodes)
-    timing.eval_s = time.monotonic() - began
-    return Evaluation(minutes, found)
+    @property
+    def parameters(self) -> Parameters:
+        """See ``Work``."""
+        return self._job.setup.learner.acting(self._offline.learners)
+
+    @property
+    def card(self) -> PolicyCard:
+        """See ``Work``."""
+        return self._job.setup.card
+
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """Those in the transitions."""
+        return self._offline.episodes
+
+    @property
+    def evaluating(self) -> tuple[float, float]:
+        """See ``Work``."""
+        return self._took
+
+    def run(self, job: Job) -> None:
+        """All transitions, then the improvements; a report every ``log.every`` seconds of data."""
+        for line in self._job.masked:
+            logger.warning("masked: %s", line)
+        due = self._log_every
+        for _ in learn(self._offline, self._job.steps, _PIECE):
+            job.pause()
+            if self.seconds >= due:
+                due += self._log_every
+                job.take(self._snapshots.entry(self._offline.snapshot(), []))
+        job.take(self._snapshots.entry(self._offline.snapshot(), self.episodes))
+        _warn(self._offline)
+
+    def evaluate(self, job: Job) -> None:
+        """Fresh episodes of each policy."""
+        if not self._count:
+            return
+        job.console.print(f"{self._count} fresh episodes for each policy...")
+        wall, cpu = time.monotonic(), time.process_time()
+        found = evaluate(
+            self.actor,
+            self.parameters,
+            self.world(),
+            self.seeds,
+            self._count,
+            observer=self.observer,
+        )
+        self._took = time.monotonic() - wall, time.process_time() - cpu
+        self._cpu_s = job.timing.cpu_s
+        minutes = math.fsum(self._offline.experience) / len(self.seeds) / 60
+        self._evaluation = Evaluation(minutes, found)
+
+    def save(self, folder: Path, *, ended: bool) -> None:
+        """What the learners know."""
+        state = self._offline.learners
+        content = {
+            "seeds": self.seeds,
+            "clock": self._offline.clock,
+            "learners": {name: getattr(state, name) for name in state.__dataclass_fields__},
+        }
+        write_atomically(folder / CHECKPOINT, lambda partial: torch.save(content, partial))
+
+    def summary(self) -> dict[str, Any]:
+        """A learner's, all experience being that of the data."""
+        offline, episodes, domain = self._offline, self._evaluation.episodes, self._domain
+        own = by_row(offline.episodes, len(self.seeds))
+        failures = [sum(e.outcome is Outcome.FAILED for e in each) for each in own]
+        first = [
+            FirstSuccess(any(e.success for e in fresh), paid, seconds, 0)
+            for fresh, paid, seconds in zip(episodes, failures, offline.experience, strict=True)
+        ]
+        figures: dict[str, list[int]] = {
+            "episodes": [len(each) for each in own],
+            domain.words.failures: failures,
+            "transitions_used": offline.used,
+            "transitions_left_out": offline.unused,
+            "steps": offline.steps.tolist(),
+        }
+        reached = {}
+        if self._job.setup.world.spec.goal and any(episodes):
+            told = self._evaluation.as_json(domain)
+            reached = {"evaluations": [told], "final": told}
+        if all(episodes):
+            reached["milestones"] = _milestones(offline, episodes, own, domain, self._cpu_s)
+        return {
+            **result_figures(domain, self.seeds, episodes, [], first),
+            **reached,
+            "offline": {
+                **{name: Spread([*counts]).as_json() for name, counts in figures.items()},
+                "masked": self._job.masked,
+            },
+            "simulated_seconds": offline.experience,
+            "not_finite": not_finite(offline),
+        }
+
+    def told(self, summary: dict[str, Any]) -> list[Table | str]:
+        """Figures over the seeds."""
+        return [summary_table(summary, self._domain, self.title)]

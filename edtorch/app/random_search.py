@@ -1,4 +1,4 @@
-"""A rival's job behind ``edtorch-train``: random policy search, and what it leaves."""
+"""Random policy search: what it is built from, and what it leaves."""
 
 from __future__ import annotations
 
@@ -11,10 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from rich.console import Console
-from rich.live import Live
 from rich.table import Table
-from rich.text import Text
 from torch import Tensor
 
 from edtorch.app.checks import at_least, check_numbers, check_seeds
@@ -22,10 +19,9 @@ from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct, target_class
 from edtorch.app.domain import build_sim, described
 from edtorch.app.errors import ConfigError
+from edtorch.app.job import Job, Work
 from edtorch.app.policy import build_linear_policy, policy_card
-from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.settings import Settings
-from edtorch.app.signals import Stop
 from edtorch.compiled.compilation import CompileMode
 from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import milestone_figures
@@ -38,9 +34,10 @@ from edtorch.rivals.random_search import (
     policy_weights,
     search,
 )
-from edtorch.run.checkpoint import save_policy, write_text
-from edtorch.run.log import summary_writer
+from edtorch.run.checkpoint import PolicyCard
+from edtorch.run.log import Entry
 from edtorch.run.scaled_sim import World
+from edtorch.types import Parameters
 
 POLICIES = "policies.csv"
 
@@ -88,65 +85,12 @@ def build_search(config: Settings) -> SearchSetup:
     )
 
 
-class _Report:
-    """Progress to ``metrics.csv``, TensorBoard and the console; it also looks for a stop."""
-
-    COLUMNS = ("wall_s", "decided", "goal", "stable", "steps")
-
-    def __init__(
-        self, setup: SearchSetup, config: Settings, folder: Path, stop: Stop, console: Console
-    ) -> None:
-        self._total = setup.settings.policies
-        self._stop = stop
-        self._console = console
-        self._began = self._printed = time.monotonic()
-        self._file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
-        self._rows = csv.writer(self._file)
-        self._rows.writerow(self.COLUMNS)
-        self._board = summary_writer(folder) if config.log.tensorboard else None
-        self._live: Live | None = None
-        self._shown = config.log.progress
-        if self._shown and console.is_terminal:
-            self._live = Live(console=console, auto_refresh=False, transient=True)
-            self._live.start()
-
-    def __call__(self, progress: Progress) -> None:
-        """Raises KeyboardInterrupt once somebody has asked to stop."""
-        now = time.monotonic()
-        wall = now - self._began
-        row = (progress.decided, progress.goal, progress.stable, progress.steps)
-        self._rows.writerow((f"{wall:.3f}", *row))
-        self._file.flush()
-        if self._board is not None:
-            for name, value in zip(self.COLUMNS[1:], row, strict=True):
-                self._board.add_scalar(f"search/{name}", value, round(wall * 10))
-        line = (
-            f"{wall:5.0f} s  decided {progress.decided}/{self._total}  goal {progress.goal}  "
-            f"stable {progress.stable}  {progress.steps / max(wall, 1e-9) / 1e6:.1f} M steps per s"
-        )
-        if self._live is not None:
-            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
-        elif self._shown and now - self._printed >= 10:
-            self._printed = now
-            self._console.print(line, soft_wrap=True, highlight=False)
-        if self._stop.asked:
-            raise KeyboardInterrupt
-
-    def close(self) -> None:
-        """Close the files, leave the terminal as it was."""
-        self._file.close()
-        if self._board is not None:
-            self._board.close()
-        if self._live is not None:
-            self._live.stop()
-
-
 def _numbers(values: Tensor) -> list[float]:
     return [v for v in values.tolist() if math.isfinite(v)]
 
 
-def summarise_search(setup: SearchSetup, result: SearchResult, wall_s: float) -> dict[str, Any]:
-    """The content of ``summary.json``.
+def search_figures(setup: SearchSetup, result: SearchResult) -> dict[str, Any]:
+    """For ``summary.json``.
 
     median_of_goal_policies: medians over the policies that always reach the goal of what the sim
     measures, a mean over the runs of each.  episodes, steps: of a search that tries one policy
@@ -185,11 +129,8 @@ def summarise_search(setup: SearchSetup, result: SearchResult, wall_s: float) ->
         "steps_done": result.steps_done,
         "steps_per_cpu_s": result.steps_done / running_s,
         "processes": setup.processes,
-        "wall_s": wall_s,
         "cpu_s": result.cpu_s,
         "compile_cpu_s": result.compile_s,
-        "versions": versions(),
-        "command": command_line(),
     }
 
 
@@ -214,32 +155,59 @@ def search_table(summary: dict[str, Any], title: str) -> Table:
     return table
 
 
-def _write_policies(setup: SearchSetup, result: SearchResult, folder: Path) -> None:
-    """``policies.csv``: who never failed; ``policy.safetensors``: weights of who always arrived."""
-    kept = (result.goal | result.stable).nonzero().flatten().tolist()
-    with (folder / POLICIES).open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(("policy", "kind", *result.measures))
-        for row in kept:
-            kind = "goal" if bool(result.goal[row]) else "stable"
-            cells = (float(values[row]) for values in result.measures.values())
-            figures = (f"{v:.6f}" if math.isfinite(v) else "" for v in cells)
-            rows.writerow((int(result.policy[row]), kind, *figures))
-    ids = result.policy[result.goal]
-    weights = policy_weights(setup.settings, setup.policy, setup.seed, ids)
-    card = policy_card(setup.world.sim, setup.policy, ids.tolist())
-    save_policy(folder / POLICY, {"weight": weights.to(setup.world.dtype)}, card)
+class RandomPolicies(Work):
+    """One random search; its policies are those that always arrive, and
+    have numbers of their own instead of seeds."""
 
+    COUNTS = ("decided", "goal", "stable", "steps")
 
-def run_search(
-    setup: SearchSetup, config: Settings, folder: Path, stop: Stop, console: Console
-) -> dict[str, Any]:
-    """Search, write everything; returns the content of ``summary.json``."""
-    title = f"{setup.world.spec.name}, {setup.settings.policies} random policies"
-    report = _Report(setup, config, folder, stop, console)
-    began = time.monotonic()
-    try:
-        result = search(
+    def __init__(self, setup: SearchSetup) -> None:
+        self._setup = setup
+        self._result: SearchResult | None = None
+        self._steps = 0
+        self.title = f"{setup.world.spec.name}, {setup.settings.policies} random policies"
+        self.seeds, self.actor = [setup.seed], setup.policy
+        self.columns = ("wall_s", *self.COUNTS)
+        self.world = lambda: setup.world
+
+    @property
+    def ticks(self) -> int:
+        """See ``Work``."""
+        return self._steps
+
+    @property
+    def seconds(self) -> float:
+        """See ``Work``."""
+        return self._steps * self._setup.world.dt
+
+    @property
+    def _numbers(self) -> Tensor:
+        result = self._result
+        return torch.arange(0) if result is None else result.policy[result.goal]
+
+    @property
+    def card(self) -> PolicyCard:
+        """See ``Work``."""
+        setup = self._setup
+        return policy_card(setup.world.sim, setup.policy, self._numbers.tolist())
+
+    @property
+    def parameters(self) -> Parameters:
+        """See ``Work``."""
+        setup = self._setup
+        weights = policy_weights(setup.settings, setup.policy, setup.seed, self._numbers)
+        return {"weight": weights.to(setup.world.dtype)}
+
+    def run(self, job: Job) -> None:
+        """All policies; a report a few times a second."""
+        setup, began = self._setup, time.monotonic()
+
+        def report(progress: Progress) -> None:
+            self._steps = progress.steps
+            job.take(self._entry(progress, time.monotonic() - began))
+            job.pause()
+
+        self._result = search(
             setup.settings,
             setup.world,
             setup.policy,
@@ -248,21 +216,47 @@ def run_search(
             mode=setup.mode,
             report=report,
         )
-    finally:
-        report.close()
-    summary = summarise_search(setup, result, time.monotonic() - began)
-    _write_policies(setup, result, folder)
-    write_text(folder / SUMMARY, json_text(summary))
-    console.print(search_table(summary, title))
-    for measure in setup.world.spec.measures:
-        value = summary["median_of_goal_policies"].get(measure.name)
-        if value is not None and measure.successes:
-            told = f"{measure.with_unit}: {number(value)}"
-            console.print(f"{told} (median over the policies to the goal)", highlight=False)
-    console.print(
-        f"{summary['wall_s']:.1f} s, {summary['steps_per_cpu_s'] / 1e6:.1f} M simulator steps per"
-        f" CPU s, {summary['episodes']} episodes",
-        soft_wrap=True,
-    )
-    console.print(f"run folder: {folder}", soft_wrap=True)
-    return summary
+
+    def _entry(self, progress: Progress, wall: float) -> Entry:
+        counts = {name: getattr(progress, name) for name in self.COUNTS}
+        return Entry(
+            rows=[(f"{wall:.3f}", *counts.values())],
+            scalars={f"search/{name}": float(count) for name, count in counts.items()},
+            step=round(wall * 10),
+            line=f"{wall:5.0f} s  decided {progress.decided}/{self._setup.settings.policies}"
+            f"  goal {progress.goal}  stable {progress.stable}"
+            f"  {progress.steps / max(wall, 1e-9) / 1e6:.1f} M steps per s",
+        )
+
+    def save(self, folder: Path, *, ended: bool) -> None:
+        """``policies.csv``: the policies that never failed."""
+        result = self._result
+        if result is None:
+            return
+        kept = (result.goal | result.stable).nonzero().flatten().tolist()
+        with (folder / POLICIES).open("w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file)
+            rows.writerow(("policy", "kind", *result.measures))
+            for row in kept:
+                kind = "goal" if bool(result.goal[row]) else "stable"
+                cells = (float(values[row]) for values in result.measures.values())
+                figures = (f"{v:.6f}" if math.isfinite(v) else "" for v in cells)
+                rows.writerow((int(result.policy[row]), kind, *figures))
+
+    def summary(self) -> dict[str, Any]:
+        """Nothing of a search that was interrupted."""
+        return {} if self._result is None else search_figures(self._setup, self._result)
+
+    def told(self, summary: dict[str, Any]) -> list[Table | str]:
+        """Counts and shares, medians, what it took."""
+        found: list[Table | str] = [search_table(summary, self.title)]
+        for measure in self._setup.world.spec.measures:
+            value = summary["median_of_goal_policies"].get(measure.name)
+            if value is not None and measure.successes:
+                told = f"{measure.with_unit}: {number(value)}"
+                found.append(f"{told} (median over the policies to the goal)")
+        found.append(
+            f"{summary['wall_s']:.1f} s, {summary['steps_per_cpu_s'] / 1e6:.1f} M simulator steps"
+            f" per CPU s, {summary['episodes']} episodes"
+        )
+        return found

@@ -1,22 +1,18 @@
-"""A rival's job behind ``edtorch-train``: search, evaluate policies on the way, leave a run folder.
+"""Rivals with a search per seed, their policies evaluated on the way, a summary like a learner's.
 
-One search per seed and a summary like a learner's; random search, which counts policies, has a job
-of its own (``edtorch.app.random_search``).
+Random search, which counts policies, is in ``edtorch.app.random_search``.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import torch
-from rich.console import Console
+from rich.table import Table
 
 from edtorch.app.budget import build_budget
 from edtorch.app.checks import at_least, check_numbers, check_seeds
@@ -25,41 +21,38 @@ from edtorch.app.construct import construct
 from edtorch.app.domain import build_sim, changed_domain, described, measured
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.inverse import has_inverse
+from edtorch.app.job import Job, Work
 from edtorch.app.limit import variant
 from edtorch.app.policy import build_linear_policy
 from edtorch.app.reward import build_plain_reward
-from edtorch.app.rundir import POLICY, SUMMARY, command_line, json_text, versions
 from edtorch.app.settings import Settings
-from edtorch.app.signals import Stop
 from edtorch.app.summary import result_figures, summary_table
 from edtorch.app.trials import Paid, Trials
 from edtorch.policy.policies import LinearPolicy
-from edtorch.report.domain import Domain
 from edtorch.report.milestones import checkpoint_figures, milestone_figures
 from edtorch.report.statistics import Spread, aliases
 from edtorch.rivals.base import Problem, Rival, Search, Storing
 from edtorch.rivals.ledger import FirstGoal
 from edtorch.rivals.runs import SLOTS, Runs, can_try, evaluator, fresh_episodes
-from edtorch.run.checkpoint import PolicyCard, save_policy, write_text
+from edtorch.run.checkpoint import PolicyCard
 from edtorch.run.episodes import Budget, Episode
 from edtorch.run.evaluation import evaluate
-from edtorch.run.log import median, summary_writer
+from edtorch.run.log import Entry, median
 from edtorch.run.milestones import MILESTONES, Checkpoint, FirstSuccess
 from edtorch.run.scaled_sim import World
-from sims.base import Spec, Words
-
-SECONDS_BETWEEN_LINES = 10.0
+from edtorch.types import Parameters
+from sims.base import Sim, Spec, Words
 
 
 @dataclass(frozen=True)
 class RivalSetup:
-    """Everything that a rival's run is made of; calm: a world to try policies in; until: the
+    """Everything that a rival's run is made of; calm: a new world to try policies in; until: the
     milestone at which a seed is done, None: none."""
 
     name: str
     rival: Rival
     problem: Problem
-    calm: World
+    calm: Callable[[], World]
     budget: Budget
     until: str | None
     episodes: int
@@ -89,13 +82,17 @@ def build_rival(config: Settings) -> RivalSetup:
     budget = build_budget(config.train)
     dtype = rival_dtype(config.compute)
     sim = build_sim(config.domain)
-    evaluated = build_sim(changed_domain(config.domain, config.eval.domain, "eval.domain"))
+    evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     reward, threshold = build_plain_reward(config.reward, sim, dtype), config.eval.success_return
+
+    def world_of(sim: Sim) -> World:
+        return World(sim, dtype, None, config.observation.unwrap, reward, threshold)
+
+    def calm() -> World:
+        return world_of(build_sim(evaluated))
+
     with under("observation"):
-        world, calm = (
-            World(s, dtype, None, config.observation.unwrap, reward, threshold)
-            for s in (sim, evaluated)
-        )
+        world, _ = world_of(sim), calm()
     problem = Problem(
         world=world,
         policy=build_linear_policy(config.policy, sim, dtype, config.seed),
@@ -126,122 +123,27 @@ def _refuse_parts_of_learners(config: Settings) -> None:
         )
 
 
-class _Report:
-    """Checkpoints to ``metrics.csv``, TensorBoard and the console; it also looks for a stop."""
-
-    def __init__(
-        self,
-        setup: RivalSetup,
-        domain: Domain,
-        config: Settings,
-        folder: Path,
-        stop: Stop,
-        console: Console,
-    ) -> None:
-        self._seeds = setup.seeds
-        self._words = words = domain.words
-        self._stop = stop
-        self._console = console
-        self._file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
-        self._rows = csv.writer(self._file)
-        paid = ("simulated_seconds", "episodes", words.failures, words.successes, "cpu_s")
-        self._rows.writerow(("seed", *paid, f"{words.failure}_rate", "goal_rate"))
-        self._board = summary_writer(folder) if config.log.tensorboard else None
-        self._shown = config.log.progress
-        self._printed = -math.inf
-
-    def pause(self) -> None:
-        """Raises KeyboardInterrupt once somebody has asked to stop."""
-        if self._stop.asked:
-            raise KeyboardInterrupt
-
-    def write(self, search: Search, fresh: dict[int, Checkpoint], count: int) -> None:
-        """The checkpoints of the seeds that went on, the ``count``-th."""
-        for row, found in fresh.items():
-            successes = search.accounts[row].successes
-            cells = (found.seconds, found.episodes, found.failures, successes, found.cpu_s)
-            rates = (found.failure_rate, found.goal_rate)
-            self._rows.writerow((self._seeds[row], *(f"{v:.9g}" for v in (*cells, *rates))))
-        self._file.flush()
-        seconds = median([c.seconds for c in fresh.values()])
-        failures = median([float(c.failures) for c in fresh.values()])
-        named = self._words.failures
-        stable = sum(c.stable for c in fresh.values())
-        goal = sum(c.to_the_goal for c in fresh.values())
-        if self._board is not None:
-            for name, value in (("seconds", seconds), (named, failures), ("stable", stable)):
-                self._board.add_scalar(f"rival/{name}", value, count)
-            self._board.add_scalar("rival/to_the_goal", goal, count)
-        if self._shown and time.monotonic() - self._printed >= SECONDS_BETWEEN_LINES:
-            self._printed = time.monotonic()
-            self._console.print(
-                f"{seconds:8.0f} s  {named} {failures:.0f}  stable {stable}/{len(fresh)}"
-                f"  to the goal {goal}/{len(fresh)}",
-                soft_wrap=True,
-                highlight=False,
-            )
-
-    def close(self) -> None:
-        """Close the files."""
-        self._file.close()
-        if self._board is not None:
-            self._board.close()
-
-
 class _Fresh:
     """Evaluates the current policies; plain linear ones use the compiled evaluator."""
 
-    def __init__(self, setup: RivalSetup, search: Search, pause: Callable[[], None]) -> None:
-        """pause: as of ``Search.advance``."""
+    def __init__(self, setup: RivalSetup, search: Search) -> None:
         self._setup = setup
         self._search = search
-        self._pause = pause
+        self.pause: Callable[[], None] = lambda: None
+        """As of ``Search.advance``."""
         self._runs: Runs | None = None
 
     def __call__(self, rows: Sequence[int], count: int) -> list[list[Episode]]:
         """``count`` of each of ``rows``."""
         picked = {k: p[list(rows)] for k, p in self._search.parameters.items()}
         seeds = [self._setup.seeds[row] for row in rows]
-        actor, calm = self._search.actor, self._setup.calm
+        actor, calm = self._search.actor, self._setup.calm()
         if not (isinstance(actor, LinearPolicy) and set(picked) == {"weight"} and can_try(calm)):
             return evaluate(actor, picked, calm, seeds, count)
         if self._runs is None:
             slots = min(SLOTS, len(self._setup.seeds) * self._setup.episodes)
             self._runs = evaluator(calm, actor, slots=slots, mode=self._setup.problem.compile)
-        return fresh_episodes(self._runs, calm, picked["weight"], seeds, count, self._pause)
-
-
-def _paid(search: Search, cpu_s: Sequence[float], row: int) -> Paid:
-    account = search.accounts[row]
-    return Paid(account.seconds, account.episodes, account.failures, cpu_s[row])
-
-
-def _search(
-    setup: RivalSetup, search: Search, trials: Trials, report: _Report, begun_s: float
-) -> list[float]:
-    """Piece by piece to the end of every budget; CPU seconds that each seed took.
-
-    begun_s: those that all seeds have taken to begin, when a rival may have computed already.
-    """
-    cpu_s = [begun_s / len(setup.seeds)] * len(setup.seeds)
-    count = 0
-    while True:
-        going = [
-            not over and account.within(setup.budget) and not _arrived(setup, own)
-            for over, account, own in zip(search.done, search.accounts, trials.history, strict=True)
-        ]
-        rows = [row for row, on in enumerate(going) if on]
-        if not rows:
-            return cpu_s
-        began = time.process_time()
-        search.advance(going, report.pause)
-        took = (time.process_time() - began) / len(rows)
-        for row in rows:
-            cpu_s[row] += took
-        count += 1
-        with torch.inference_mode():
-            report.write(search, trials.run(rows, partial(_paid, search, cpu_s)), count)
-        report.pause()
+        return fresh_episodes(self._runs, calm, picked["weight"], seeds, count, self.pause)
 
 
 def _arrived(setup: RivalSetup, history: Sequence[Checkpoint]) -> bool:
@@ -264,44 +166,6 @@ def _first_goal(search: Search, seeds: Sequence[int], words: Words) -> dict[str,
     }
 
 
-def _summary(
-    setup: RivalSetup,
-    search: Search,
-    trials: Trials,
-    cpu_s: Sequence[float],
-    wall_s: float,
-) -> dict[str, Any]:
-    """The content of ``summary.json``: a learner's, with ``milestones`` and ``checkpoints``."""
-    fresh = trials.complete()
-    domain = described(setup.calm, measured(fresh))
-    lived = [account.seconds for account in search.accounts]
-    first: list[FirstSuccess] = []
-    paid: dict[str, Any] = {}
-    if any(lived):
-        first = [account.first_success for account in search.accounts]
-        failures = Spread([a.failures for a in search.accounts]).as_json()
-        paid = {
-            "first_goal": _first_goal(search, setup.seeds, domain.words),
-            "episodes": Spread([a.episodes for a in search.accounts]).as_json(),
-            "failures": failures,
-            **aliases({"failures": failures}, domain.words),
-        }
-    return {
-        "rival": setup.name,
-        **result_figures(domain, setup.seeds, fresh, [], first),
-        "milestones": milestone_figures(trials.history, setup.seeds, domain),
-        "checkpoints": checkpoint_figures(trials.history, domain),
-        **paid,
-        "simulated_seconds": lived,
-        "ticks": round(math.fsum(lived) / setup.problem.world.dt),
-        "wall_s": wall_s,
-        "cpu_s": math.fsum(cpu_s),
-        "eval_s": trials.wall_s,
-        "versions": versions(),
-        "command": command_line(),
-    }
-
-
 def rival_card(setup: RivalSetup, search: Search, spec: Spec) -> PolicyCard:
     """What its policies are made for, of a world of this spec."""
     return PolicyCard(
@@ -314,38 +178,157 @@ def rival_card(setup: RivalSetup, search: Search, spec: Spec) -> PolicyCard:
     )
 
 
-def run_rival(
-    setup: RivalSetup, config: Settings, folder: Path, stop: Stop, console: Console
-) -> dict[str, Any]:
-    """Search, write everything; returns the content of ``summary.json``."""
-    title = f"{setup.problem.world.spec.name}, {setup.name}, {len(setup.seeds)} seeds"
-    began_cpu = time.process_time()
-    with under("rival"):
-        search = setup.rival.begin(setup.problem)
-    begun_s = time.process_time() - began_cpu
-    domain = described(setup.calm)
-    report = _Report(setup, domain, config, folder, stop, console)
-    fresh = _Fresh(setup, search, report.pause)
-    trials = Trials(len(setup.seeds), setup.episodes, fresh, domain.measures)
-    began = time.monotonic()
-    try:
-        cpu_s = _search(setup, search, trials, report, begun_s)
-    finally:
-        report.close()
-    wall_s = time.monotonic() - began - trials.wall_s
-    summary = _summary(setup, search, trials, cpu_s, wall_s)
-    policies = search.stored() if isinstance(search, Storing) else search.parameters
-    save_policy(folder / POLICY, policies, rival_card(setup, search, setup.problem.world.spec))
-    write_text(folder / SUMMARY, json_text(summary))
-    console.print(summary_table(summary, domain, title))
-    for name, found in summary["milestones"].items():
-        reached = len(setup.seeds) - len(found["never"])
-        console.print(
-            f"{name}: {reached} of {len(setup.seeds)} seeds; paid until then (median)"
-            f" {found['seconds']['median']:.1f} s, {found['failures']['median']:.0f}"
-            f" {domain.words.failures},"
-            f" {found['cpu_s']['median']:.1f} CPU s",
-            soft_wrap=True,
+class Rivals(Work):
+    """A search per seed."""
+
+    def __init__(self, setup: RivalSetup) -> None:
+        self._setup = setup
+        began = time.process_time()
+        with under("rival"):
+            self._search = setup.rival.begin(setup.problem)
+        # When a rival begins it may have computed already.
+        begun_s = time.process_time() - began
+        self._cpu_s = [begun_s / len(setup.seeds)] * len(setup.seeds)
+        self._domain = described(setup.calm())
+        self._fresh = _Fresh(setup, self._search)
+        self._trials = Trials(len(setup.seeds), setup.episodes, self._fresh, self._domain.measures)
+        spec, words = setup.problem.world.spec, self._domain.words
+        self.title = f"{spec.name}, {setup.name}, {len(setup.seeds)} seeds"
+        self.seeds, self.budget, self.world = setup.seeds, setup.budget, setup.calm
+        paid = ("simulated_seconds", "episodes", words.failures, words.successes, "cpu_s")
+        self.columns = ("seed", *paid, f"{words.failure}_rate", "goal_rate")
+        self.actor = self._search.actor
+
+    @property
+    def _lived(self) -> list[float]:
+        return [account.seconds for account in self._search.accounts]
+
+    @property
+    def seconds(self) -> float:
+        """See ``Work``."""
+        return max(self._lived)
+
+    @property
+    def ticks(self) -> int:
+        """See ``Work``."""
+        return round(math.fsum(self._lived) / self._setup.problem.world.dt)
+
+    @property
+    def parameters(self) -> Parameters:
+        """See ``Work``."""
+        return self._search.parameters
+
+    @property
+    def stored(self) -> Parameters:
+        """See ``Work``."""
+        search = self._search
+        return search.stored() if isinstance(search, Storing) else search.parameters
+
+    @property
+    def card(self) -> PolicyCard:
+        """See ``Work``."""
+        return rival_card(self._setup, self._search, self._setup.problem.world.spec)
+
+    @property
+    def evaluating(self) -> tuple[float, float]:
+        """See ``Work``."""
+        return self._trials.wall_s, self._trials.cpu_s
+
+    def run(self, job: Job) -> None:
+        """Piece by piece to the end of every budget, each followed by a trial of the policies."""
+        search, trials, setup = self._search, self._trials, self._setup
+        self._fresh.pause = job.pause
+        count = 0
+        while True:
+            states = zip(search.done, search.accounts, trials.history, strict=True)
+            going = [
+                not over and account.within(setup.budget) and not _arrived(setup, own)
+                for over, account, own in states
+            ]
+            rows = [row for row, on in enumerate(going) if on]
+            if not rows:
+                return
+            began = time.process_time()
+            search.advance(going, job.pause)
+            took = (time.process_time() - began) / len(rows)
+            for row in rows:
+                self._cpu_s[row] += took
+            count += 1
+            with torch.inference_mode():
+                fresh = trials.run(rows, self._paid)
+            job.take(self._entry(fresh, count))
+            job.pause()
+
+    def _paid(self, row: int) -> Paid:
+        account = self._search.accounts[row]
+        return Paid(account.seconds, account.episodes, account.failures, self._cpu_s[row])
+
+    def _entry(self, fresh: dict[int, Checkpoint], count: int) -> Entry:
+        """The checkpoints of the seeds that went on, the ``count``-th."""
+        words, accounts = self._domain.words, self._search.accounts
+        seconds = median([c.seconds for c in fresh.values()])
+        failures = median([float(c.failures) for c in fresh.values()])
+        stable = sum(c.stable for c in fresh.values())
+        goal = sum(c.to_the_goal for c in fresh.values())
+        rows = [
+            (
+                *(self.seeds[row], c.seconds, c.episodes, c.failures, accounts[row].successes),
+                *(c.cpu_s, c.failure_rate, c.goal_rate),
+            )
+            for row, c in fresh.items()
+        ]
+        figures = {
+            "seconds": seconds,
+            words.failures: failures,
+            "stable": stable,
+            "to_the_goal": goal,
+        }
+        return Entry(
+            rows=rows,
+            scalars={f"rival/{name}": float(value) for name, value in figures.items()},
+            step=count,
+            line=f"{seconds:8.0f} s  {words.failures} {failures:.0f}"
+            f"  stable {stable}/{len(fresh)}  to the goal {goal}/{len(fresh)}",
         )
-    console.print(f"run folder: {folder}", soft_wrap=True)
-    return summary
+
+    def evaluate(self, job: Job) -> None:
+        """All fresh episodes of the last policies."""
+        self._trials.complete()
+
+    def summary(self) -> dict[str, Any]:
+        """A learner's, with ``milestones`` and ``checkpoints``."""
+        fresh, history, accounts = self._trials.last, self._trials.history, self._search.accounts
+        domain = described(self.world(), measured(fresh))
+        first: list[FirstSuccess] = []
+        paid: dict[str, Any] = {}
+        if any(self._lived):
+            first = [account.first_success for account in accounts]
+            failures = Spread([a.failures for a in accounts]).as_json()
+            paid = {
+                "first_goal": _first_goal(self._search, self.seeds, domain.words),
+                "episodes": Spread([a.episodes for a in accounts]).as_json(),
+                "failures": failures,
+                **aliases({"failures": failures}, domain.words),
+            }
+        if all(history):
+            paid["milestones"] = milestone_figures(history, self.seeds, domain)
+            paid["checkpoints"] = checkpoint_figures(history, domain)
+        return {
+            "rival": self._setup.name,
+            **result_figures(domain, self.seeds, fresh, [], first),
+            **paid,
+            "simulated_seconds": self._lived,
+            "cpu_s": math.fsum(self._cpu_s),
+        }
+
+    def told(self, summary: dict[str, Any]) -> list[Table | str]:
+        """Figures over the seeds, and what was paid before the milestones."""
+        found: list[Table | str] = [summary_table(summary, self._domain, self.title)]
+        for name, own in summary["milestones"].items():
+            reached = len(self.seeds) - len(own["never"])
+            found.append(
+                f"{name}: {reached} of {len(self.seeds)} seeds; paid until then (median)"
+                f" {own['seconds']['median']:.1f} s, {own['failures']['median']:.0f}"
+                f" {self._domain.words.failures}, {own['cpu_s']['median']:.1f} CPU s"
+            )
+        return found

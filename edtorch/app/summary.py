@@ -11,7 +11,6 @@ from rich.table import Table
 from torch import Tensor
 
 from edtorch.app.evaluations import Evaluations
-from edtorch.app.rundir import command_line, versions
 from edtorch.app.settings import Settings
 from edtorch.learner.learner import Check
 from edtorch.report.domain import Domain
@@ -28,9 +27,10 @@ from edtorch.report.statistics import (
 from edtorch.report.text import number
 from edtorch.run.episodes import Episode
 from edtorch.run.milestones import FirstSuccess, first_success
-from edtorch.run.success import settled
 from edtorch.run.training import Training
 from edtorch.types import LearnerState
+
+PARTS = ("wall", "cpu", "startup", "eval", "figures")
 
 
 @dataclass
@@ -52,6 +52,11 @@ class Timing:
     def ticks_per_cpu_s(self) -> float:
         """Learner ticks of the whole population per CPU second of the loop."""
         return self.ticks / max(self.cpu_s, 1e-9)
+
+    def as_json(self) -> dict[str, Any]:
+        """For ``summary.json``."""
+        seconds = {f"{name}_s": getattr(self, f"{name}_s") for name in PARTS}
+        return {"ticks": self.ticks, "ticks_per_cpu_s": self.ticks_per_cpu_s, **seconds}
 
 
 class Learned(Protocol):
@@ -99,39 +104,27 @@ def result_figures(
     return figures | evaluation_figures(fresh, domain.measures, domain.words)
 
 
-def timing_figures(timing: Timing, job: Learned) -> dict[str, Any]:
-    """How long it took, with what, and what went wrong."""
+def not_finite(job: Learned) -> dict[str, Any]:
+    """``broken`` for ``summary.json``, by seed."""
     return {
-        "ticks": timing.ticks,
-        "ticks_per_cpu_s": timing.ticks_per_cpu_s,
-        "wall_s": timing.wall_s,
-        "cpu_s": timing.cpu_s,
-        "startup_s": timing.startup_s,
-        "eval_s": timing.eval_s,
-        "figures_s": timing.figures_s,
-        "not_finite": {
-            str(job.seeds[row]): {"place": place, "tick": tick}
-            for row, (place, tick) in broken(job).items()
-        },
-        "versions": versions(),
-        "command": command_line(),
+        str(job.seeds[row]): {"place": place, "tick": tick}
+        for row, (place, tick) in broken(job).items()
     }
 
 
-def summarise(training: Training, timing: Timing, evaluations: Evaluations) -> dict[str, Any]:
-    """The content of ``summary.json``, after at least one evaluation in full: that of the end."""
+def summarise(training: Training, evaluations: Evaluations) -> dict[str, Any]:
+    """Of a population, after at least one evaluation in full: that of the end."""
     lived = (training.learners.tick.to(torch.float64) * training.world.dt).tolist()
-    last = evaluations.done[-1]
-    everything = [*training.episodes, *(e for each in last.episodes for e in each)]
-    own = by_row(settled(training.episodes, everything), len(training.seeds))
+    own = by_row(training.episodes, len(training.seeds))
     first = [first_success(each, seconds) for each, seconds in zip(own, lived, strict=True)]
     lost = sum(training.lost_episodes)
+    last = evaluations.done[-1]
     return {
         **result_figures(evaluations.domain, training.seeds, last.episodes, own, first),
         **({"lost_episodes": lost} if lost else {}),
         **evaluations.as_json(),
         "simulated_seconds": lived,
-        **timing_figures(timing, training),
+        "not_finite": not_finite(training),
     }
 
 
@@ -152,13 +145,13 @@ def summary_table(summary: Mapping[str, Any], domain: Domain, title: str) -> Tab
 
 
 def never_succeeded(summary: Mapping[str, Any], domain: Domain, most: int = 20) -> str | None:
-    """The line that names the seeds without a success while learning; None without any."""
+    """The line that names the seeds without a success; None without any."""
     seeds = summary.get("never_succeeded")
     if not seeds:
         return None
     listed = ", ".join(map(str, seeds[:most]))
     more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
-    return f"never {domain.words.succeeded} while learning: seeds {listed}{more}"
+    return f"never {domain.words.succeeded}: seeds {listed}{more}"
 
 
 def medians(summary: dict[str, Any]) -> dict[str, float]:

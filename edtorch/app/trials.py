@@ -41,7 +41,8 @@ class Trials:
     """Evaluation episodes of the current policies, and the results of earlier ones.
 
     episodes: of each trial; history: the checkpoints of each row, in order; last: the episodes of
-    its last one, only ``SCREENING`` of them where one failed; wall_s: taken by all of it.
+    its last one, only ``SCREENING`` of them where one failed; wall_s, cpu_s: taken by all of
+    it.
     """
 
     def __init__(
@@ -52,7 +53,11 @@ class Trials:
         self._fresh = fresh
         self.history: list[list[Checkpoint]] = [[] for _ in range(rows)]
         self.last: list[list[Episode]] = [[] for _ in range(rows)]
-        self.wall_s = 0.0
+        self.wall_s = self.cpu_s = 0.0
+
+    def _took(self, wall: float, cpu: float) -> None:
+        self.wall_s += time.monotonic() - wall
+        self.cpu_s += time.process_time() - cpu
 
     def _episodes(self, rows: Sequence[int], count: int) -> None:
         if rows:
@@ -61,7 +66,7 @@ class Trials:
 
     def run(self, rows: Sequence[int], paid: Callable[[int], Paid]) -> dict[int, Checkpoint]:
         """Try those of ``rows``; paid: by each until now."""
-        began = time.monotonic()
+        wall, cpu = time.monotonic(), time.process_time()
         # One that was stable the last time most likely still is, and one full-length episode takes
         # as long as many side by side.
         stable = {row for row in rows if self.history[row] and self.history[row][-1].stable}
@@ -70,7 +75,7 @@ class Trials:
             stable |= {row for row in rows if row not in stable and _stable(self.last[row])}
         self._episodes([row for row in rows if row in stable], self._most)
         fresh = {row: self.record(row, self.last[row], paid(row)) for row in rows}
-        self.wall_s += time.monotonic() - began
+        self._took(wall, cpu)
         return fresh
 
     def record(self, row: int, episodes: list[Episode], paid: Paid) -> Checkpoint:
@@ -89,10 +94,10 @@ class Trials:
 
     def complete(self) -> list[list[Episode]]:
         """All episodes of the last policies, those that were only screened included."""
-        began = time.monotonic()
+        wall, cpu = time.monotonic(), time.process_time()
         short = [row for row, own in enumerate(self.last) if len(own) < self._most]
         self._episodes(short, self._most)
-        self.wall_s += time.monotonic() - began
+        self._took(wall, cpu)
         return self.last
 
     def reached(self, milestone: str) -> list[bool]:

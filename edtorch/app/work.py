@@ -15,45 +15,61 @@ from rich.console import Console
 
 from edtorch.app.build import build
 from edtorch.app.errors import ConfigError
-from edtorch.app.job import Job
-from edtorch.app.offline import build_offline, is_offline, run_offline
+from edtorch.app.job import Job, Work
+from edtorch.app.learners import Learners
+from edtorch.app.offline import RecordedLearners, build_offline, is_offline
 from edtorch.app.outputs import open_sinks, save_learned, save_results
-from edtorch.app.random_search import build_search, is_rival, is_search, run_search
-from edtorch.app.rivals import build_rival, run_rival
+from edtorch.app.random_search import RandomPolicies, build_search, is_rival, is_search
+from edtorch.app.rivals import Rivals, build_rival
 from edtorch.app.rundir import RunFolder
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Interrupted, Stop
-from edtorch.app.summary import never_succeeded, summary_table
 from edtorch.report.domain import RETURN
-from edtorch.run.log import StderrHandler
+from edtorch.run.log import ConsoleSink, StderrHandler
 
 logger = logging.getLogger("edtorch")
 
 
-def _train(job: Job, folder: Path, began: float) -> dict[str, Any]:
+Begin = Callable[[], Work]
+
+
+def prepared(config: Settings) -> tuple[list[int], Begin]:
+    """The seeds, and what begins the work that the configuration asks for.  Raises ConfigError."""
+    if is_offline(config):
+        offline = build_offline(config)
+        return offline.setup.seeds, lambda: RecordedLearners(offline, config)
+    if is_rival(config) and config.log.transitions:
+        raise ConfigError("log.transitions=true: expected false with a rival, which keeps none")
+    if is_rival(config) and is_search(config):
+        search = build_search(config)
+        return [search.seed], lambda: RandomPolicies(search)
+    if is_rival(config):
+        rival = build_rival(config)
+        return rival.seeds, lambda: Rivals(rival)
+    setup = build(config)
+    return setup.seeds, lambda: Learners(setup, config)
+
+
+def _done(begin: Begin, config: Settings, folder: Path, stop: Stop, began: float) -> dict[str, Any]:
     """Learn, evaluate, write everything; returns the content of ``summary.json``."""
-    timing, console = job.timing, job.console
-    timing.startup_s = time.monotonic() - began
-    sinks, board = open_sinks(job, folder)
-    if job.config.log.progress:
-        sinks.append(job.console_sink())
+    console, work = Console(), begin()
+    sinks, board = open_sinks(work, config, folder)
+    if config.log.progress:
+        sinks.append(ConsoleSink(console))
+    job = Job(
+        *(work, config, stop, console, sinks),
+        lambda work, ended: save_learned(work, folder, ended=ended),
+    )
+    job.timing.startup_s = time.monotonic() - began
     try:
-        job.learn(sinks, lambda job, ended: save_learned(job, folder, ended=ended))
+        job.run()
         job.evaluate()
         summary = save_results(job, folder, board)
     finally:
         for sink in sinks:
             sink.close()
-    domain = job.evaluations.domain
-    console.print(summary_table(summary, domain, job.title))
-    if (never := never_succeeded(summary, domain)) is not None:
-        console.print(never, soft_wrap=True)
-    console.print(
-        f"learning {timing.wall_s:.1f} s ({timing.ticks_per_cpu_s:.0f} learner ticks per CPU s),"
-        f" evaluation {timing.eval_s:.1f} s, pictures {timing.figures_s:.1f} s",
-        soft_wrap=True,
-    )
-    console.print(f"run folder: {folder}", soft_wrap=True)
+    for part in (*work.told(summary), f"run folder: {folder}"):
+        console.print(part, soft_wrap=isinstance(part, str))
     return summary
 
 
@@ -78,26 +94,6 @@ def _logging_to(folder: Path) -> Iterator[None]:
             handler.close()
 
 
-def _work(
-    config: Settings, folder: RunFolder, stop: Stop, began: float
-) -> tuple[list[int], Callable[[], dict[str, Any]]]:
-    """The seeds, and what there is to do: learn, or whatever a rival does instead."""
-    if is_offline(config):
-        offline = build_offline(config)
-        seeds = offline.setup.seeds
-        return seeds, lambda: run_offline(offline, config, folder.path, stop, Console(), began)
-    if is_rival(config) and config.log.transitions:
-        raise ConfigError("log.transitions=true: expected false with a rival, which keeps none")
-    if is_rival(config) and not is_search(config):
-        rival = build_rival(config)
-        return rival.seeds, lambda: run_rival(rival, config, folder.path, stop, Console())
-    if is_rival(config):
-        search = build_search(config)
-        return [search.seed], lambda: run_search(search, config, folder.path, stop, Console())
-    setup = build(config)
-    return setup.seeds, lambda: _train(Job(setup, config, stop, Console()), folder.path, began)
-
-
 def headline(summary: dict[str, Any]) -> float:
     """What a sweeper minimises: simulated seconds before the first success; where there is no such
     figure, minus the return; for a search those that a policy costs that always succeeds."""
@@ -111,13 +107,13 @@ def headline(summary: dict[str, Any]) -> float:
 
 def run(config: Settings, folder: RunFolder, stop: Stop, began: float) -> dict[str, Any]:
     """The job from configuration to table; the folder says at any time what has become of it."""
-    seeds, work = _work(config, folder, stop, began)
+    seeds, begin = prepared(config)
     torch.set_num_threads(config.compute.threads)
     folder.begin(config, seeds)
     try:
         with _logging_to(folder.path):
             try:
-                summary = work()
+                summary = _done(begin, config, folder.path, stop, began)
             except Exception:
                 logger.exception("failed")
                 raise

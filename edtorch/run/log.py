@@ -9,6 +9,7 @@ import statistics
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -31,11 +32,28 @@ def summary_writer(folder: Path) -> SummaryWriter:
     return SummaryWriter(str(folder))
 
 
+@dataclass(frozen=True)
+class Entry:
+    """What a run reports of one moment; nothing by default.
+
+    rows: of ``metrics.csv``; scalars: for TensorBoard by tag, at ``step``, those that are not
+    finite left out; line: for the console; episodes: those that have ended since the entry before,
+    each with the seed of its learner; news: a line that stays on the console.
+    """
+
+    rows: Sequence[Sequence[Any]] = ()
+    scalars: Mapping[str, float] = field(default_factory=dict)
+    step: int = 0
+    line: str = ""
+    episodes: Sequence[tuple[int, Episode]] = ()
+    news: str = ""
+
+
 class Sink(Protocol):
     """Takes what a run reports."""
 
-    def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
-        """The population now, and the episodes that ended since the last call."""
+    def write(self, entry: Entry) -> None:
+        """One entry more."""
         ...
 
     def close(self) -> None:
@@ -55,120 +73,68 @@ def median(values: Sequence[float]) -> float:
 
 
 class CsvSink:
-    """``metrics.csv``: a row per learner and snapshot, failures and successes in the words of the
-    domain; ``episodes.csv``: a row per episode, with its return, whether it was a success, and the
-    sim's own ``measures``; empty where there is none."""
+    """``metrics.csv`` with these columns; with ``measures``, the names of the sim's own, also
+    ``episodes.csv``: a row per episode, with its return and whether it was a success; empty where
+    there is none."""
 
-    METRICS = (
-        "active",
-        "episodes",
-        "failures",
-        "successes",
-        "episode_seconds",
-        "value",
-        "gradient",
-        "error",
-        "policy_norm",
-    )
+    EPISODES = ("seed", "episode", "start_s", "seconds", "outcome", "return", "success")
 
     def __init__(
-        self, folder: Path, measures: Sequence[str] = (), words: Words = DEFAULT_WORDS
+        self, folder: Path, columns: Sequence[str], measures: Sequence[str] | None = None
     ) -> None:
-        self._measures = list(measures)
-        self._metrics_file = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
-        self._episodes_file = (folder / "episodes.csv").open("w", newline="", encoding="utf-8")
-        self._metrics = csv.writer(self._metrics_file)
-        self._episodes = csv.writer(self._episodes_file)
-        named = {"failures": words.failures, "successes": words.successes}
-        metrics = [named.get(name, name) for name in self.METRICS]
-        self._metrics.writerow(("seconds", "seed", *metrics, "value_error_estimate"))
-        columns = ("seed", "episode", "start_s", "seconds", "outcome", "return", "success")
-        self._episodes.writerow((*columns, *self._measures))
+        self._measures = [] if measures is None else list(measures)
+        self._metrics = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
+        csv.writer(self._metrics).writerow(columns)
+        self._episodes = None
+        if measures is not None:
+            self._episodes = (folder / "episodes.csv").open("w", newline="", encoding="utf-8")
+            csv.writer(self._episodes).writerow((*self.EPISODES, *measures))
 
-    def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
+    def write(self, entry: Entry) -> None:
         """Append the rows."""
-        columns = [getattr(snapshot, name) for name in self.METRICS]
-        columns.append(snapshot.value_error or [math.nan] * len(snapshot.seeds))
-        for seed, *row in zip(snapshot.seeds, *columns, strict=True):
-            self._metrics.writerow((f"{snapshot.seconds:g}", seed, *(_plain(v) for v in row)))
-        for e in episodes:
-            self._episodes.writerow(
-                (
-                    snapshot.seeds[e.row],
-                    e.number,
-                    f"{e.start:.6g}",
-                    f"{e.seconds:.6g}",
-                    e.outcome.name.lower(),
-                    _plain(e.total_reward),
-                    "" if e.success is None else int(e.success),
-                    *(_plain(e.measures[name]) for name in self._measures),
-                )
-            )
-        self._metrics_file.flush()
-        self._episodes_file.flush()
+        csv.writer(self._metrics).writerows([_plain(v) for v in row] for row in entry.rows)
+        self._metrics.flush()
+        if self._episodes is not None:
+            csv.writer(self._episodes).writerows(self._row(*each) for each in entry.episodes)
+            self._episodes.flush()
+
+    def _row(self, seed: int, e: Episode) -> tuple[str | int, ...]:
+        return (
+            seed,
+            e.number,
+            f"{e.start:.6g}",
+            f"{e.seconds:.6g}",
+            e.outcome.name.lower(),
+            _plain(e.total_reward),
+            "" if e.success is None else int(e.success),
+            *(_plain(e.measures[name]) for name in self._measures),
+        )
 
     def close(self) -> None:
         """Close the files."""
-        self._metrics_file.close()
-        self._episodes_file.close()
+        self._metrics.close()
+        if self._episodes is not None:
+            self._episodes.close()
 
 
-def _plain(value: float | bool) -> str | int:
+def _plain(value: float | str) -> str | int:
     if isinstance(value, float):
         return f"{value:.9g}" if math.isfinite(value) else ""
-    return int(value)
+    return value if isinstance(value, str) else int(value)
 
 
 class TensorBoardSink:
-    """Scalars by simulated seconds, over the population: median, and extremes where they tell."""
+    """The scalars, and ``writer`` for all else; config_text: the settings."""
 
-    def __init__(self, folder: Path, config_text: str, words: Words = DEFAULT_WORDS) -> None:
-        self._words = words
+    def __init__(self, folder: Path, config_text: str) -> None:
         self.writer = summary_writer(folder)
         self.writer.add_text("config", f"```yaml\n{config_text}\n```")
 
-    def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
+    def write(self, entry: Entry) -> None:
         """Append the scalars."""
-        step = round(snapshot.seconds)
-        scalars: dict[str, float] = {
-            "learning/value": median(snapshot.value),
-            "learning/gradient": median(snapshot.gradient),
-            "learning/model_error": median(snapshot.error),
-            "learning/policy_norm": median(snapshot.policy_norm),
-            "population/active": float(sum(snapshot.active)),
-        }
-        if snapshot.value_error is not None:
-            scalars["learning/value error estimate"] = median(snapshot.value_error)
-        words = self._words
-        for name, numbers in (
-            (words.failures, snapshot.failures),
-            (words.successes, snapshot.successes),
-        ):
-            counts = [float(v) for v in numbers]
-            scalars |= {
-                f"{name}/median": median(counts),
-                f"{name}/min": min(counts),
-                f"{name}/max": max(counts),
-            }
-        if episodes:
-            lengths = [e.seconds for e in episodes]
-            scalars |= {
-                "episodes/seconds_median": median(lengths),
-                "episodes/seconds_max": max(lengths),
-                "episodes/return": median([e.total_reward for e in episodes]),
-            }
-            for measure in episodes[0].measures:
-                scalars[f"episodes/{measure}"] = median([e.measures[measure] for e in episodes])
-        for name, value in scalars.items():
+        for name, value in entry.scalars.items():
             if math.isfinite(value):
-                self.writer.add_scalar(name, value, step)
-
-    def spreads(self, group: str, figures: Mapping[str, Any], step: int) -> None:
-        """Median and extremes over the seeds of each figure (``edtorch.report.statistics``)."""
-        for name, spread in figures.items():
-            for part in ("median", "min", "max"):
-                if spread.get(part) is not None:
-                    self.writer.add_scalar(f"{group}/{name}_{part}", spread[part], step)
+                self.writer.add_scalar(name, value, entry.step)
 
     def hparams(self, settings: dict[str, str | float | bool], results: dict[str, float]) -> None:
         """The settings beside the results, in this run's own event file."""
@@ -188,69 +154,34 @@ class TensorBoardSink:
 
 
 class ConsoleSink:
-    """One live line on a terminal; elsewhere a line every ``quiet`` wall seconds.
+    """One live line on a terminal; elsewhere a line every ``quiet`` wall seconds."""
 
-    can_fail, can_succeed: whether the domain declares it; otherwise failures and successes are
-    counted from the first one on, and without either the episodes are.
-    """
-
-    def __init__(
-        self,
-        console: Console,
-        quiet: float = 10.0,
-        words: Words = DEFAULT_WORDS,
-        *,
-        can_fail: bool = True,
-        can_succeed: bool = True,
-    ) -> None:
+    def __init__(self, console: Console, quiet: float = 10.0) -> None:
         self._console = console
-        self._words = words
-        self._declared = can_fail, can_succeed
         self._quiet = quiet
         self._last_printed = -math.inf  # the first line at once
-        self._last_seconds, self._last_time = 0.0, time.monotonic()
         self._live: Live | None = None
         if console.is_terminal:
             self._live = Live(console=console, auto_refresh=False, transient=True)
             self._live.start()
 
-    def write(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> None:
-        """Show the population."""
+    def write(self, entry: Entry) -> None:
+        """Show the line, if there is one."""
         now = time.monotonic()
-        speed = (snapshot.seconds - self._last_seconds) / max(now - self._last_time, 1e-9)
-        self._last_seconds, self._last_time = snapshot.seconds, now
-        line = (
-            f"{snapshot.seconds:6.0f} s  {self._counts(snapshot)}  "
-            f"value {median(snapshot.value):.3g}  "
-            f"{sum(snapshot.active)}/{len(snapshot.seeds)} learning  {speed:.0f} s per s"
-        )
+        if not entry.line:
+            return
         if self._live is not None:
             # Cut off rather than wrapped where the terminal is narrow: it must stay one line.
-            self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+            text = Text(entry.line, no_wrap=True, overflow="ellipsis")
+            self._live.update(text, refresh=True)
         elif now - self._last_printed >= self._quiet:
             self._last_printed = now
-            self._console.print(line, soft_wrap=True, highlight=False)
-
-    def _counts(self, snapshot: Snapshot) -> str:
-        counted = (
-            (self._words.failures, snapshot.failures),
-            (self._words.successes, snapshot.successes),
-        )
-        told = [
-            f"{name} {_spread(counts)}"
-            for (name, counts), declared in zip(counted, self._declared, strict=True)
-            if declared or any(counts)
-        ]
-        return "  ".join(told) or f"episodes {_spread(snapshot.episodes)}"
+            self._console.print(entry.line, soft_wrap=True, highlight=False)
 
     def close(self) -> None:
         """Leave the terminal as it was."""
         if self._live is not None:
             self._live.stop()
-
-
-def _spread(counts: Sequence[int]) -> str:
-    return f"{median(counts):g} [{min(counts)}, {max(counts)}]"
 
 
 class StderrHandler(logging.Handler):
@@ -262,3 +193,89 @@ class StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print the message."""
         print(self.format(record), file=sys.stderr)
+
+
+_METRICS = (
+    *("active", "episodes", "failures", "successes", "episode_seconds"),
+    *("value", "gradient", "error", "policy_norm"),
+)
+
+
+class Snapshots:
+    """Entries of a population of learners, in the words of the domain: a row per learner; scalars
+    by simulated seconds, their median over the learners, and extremes where they tell."""
+
+    def __init__(self, words: Words = DEFAULT_WORDS) -> None:
+        self._words = words
+        named = {"failures": words.failures, "successes": words.successes}
+        metrics = [named.get(name, name) for name in _METRICS]
+        self.columns = ("seconds", "seed", *metrics, "value_error_estimate")
+        self._last_seconds, self._last_time = 0.0, time.monotonic()
+
+    def entry(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> Entry:
+        """Of a moment; episodes: those that have ended since the one before."""
+        columns = [getattr(snapshot, name) for name in _METRICS]
+        columns.append(snapshot.value_error or [math.nan] * len(snapshot.seeds))
+        seconds = f"{snapshot.seconds:g}"
+        return Entry(
+            rows=[(seconds, *row) for row in zip(snapshot.seeds, *columns, strict=True)],
+            scalars=self._scalars(snapshot, episodes),
+            step=round(snapshot.seconds),
+            line=self._line(snapshot),
+            episodes=[(snapshot.seeds[e.row], e) for e in episodes],
+        )
+
+    def _scalars(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> dict[str, float]:
+        scalars: dict[str, float] = {
+            "learning/value": median(snapshot.value),
+            "learning/gradient": median(snapshot.gradient),
+            "learning/model_error": median(snapshot.error),
+            "learning/policy_norm": median(snapshot.policy_norm),
+            "population/active": float(sum(snapshot.active)),
+        }
+        if snapshot.value_error is not None:
+            scalars["learning/value error estimate"] = median(snapshot.value_error)
+        words = self._words
+        named = {words.failures: snapshot.failures, words.successes: snapshot.successes}
+        for name, numbers in named.items():
+            counts = [float(v) for v in numbers]
+            scalars |= {
+                f"{name}/median": median(counts),
+                f"{name}/min": min(counts),
+                f"{name}/max": max(counts),
+            }
+        if episodes:
+            lengths = [e.seconds for e in episodes]
+            scalars |= {
+                "episodes/seconds_median": median(lengths),
+                "episodes/seconds_max": max(lengths),
+                "episodes/return": median([e.total_reward for e in episodes]),
+            }
+            for measure in episodes[0].measures:
+                scalars[f"episodes/{measure}"] = median([e.measures[measure] for e in episodes])
+        return scalars
+
+    def _line(self, snapshot: Snapshot) -> str:
+        now = time.monotonic()
+        speed = (snapshot.seconds - self._last_seconds) / max(now - self._last_time, 1e-9)
+        self._last_seconds, self._last_time = snapshot.seconds, now
+        return (
+            f"{snapshot.seconds:6.0f} s  {self._words.failures} {_spread(snapshot.failures)}  "
+            f"{self._words.successes} {_spread(snapshot.successes)}  "
+            f"value {median(snapshot.value):.3g}  "
+            f"{sum(snapshot.active)}/{len(snapshot.seeds)} learning  {speed:.0f} s per s"
+        )
+
+
+def _spread(counts: Sequence[int]) -> str:
+    return f"{median(counts):g} [{min(counts)}, {max(counts)}]"
+
+
+def spread_scalars(group: str, figures: Mapping[str, Any]) -> dict[str, float]:
+    """Median and extremes over the seeds of each figure (``edtorch.report.statistics``)."""
+    return {
+        f"{group}/{name}_{part}": spread[part]
+        for name, spread in figures.items()
+        for part in ("median", "min", "max")
+        if spread.get(part) is not None
+    }

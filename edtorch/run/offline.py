@@ -8,7 +8,7 @@ linear in the state is a local one, and a fall leaves the place where it is good
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal, get_args
@@ -24,7 +24,7 @@ from edtorch.run.episodes import Budget, Episode, Snapshot
 from edtorch.run.scaled_sim import World
 from edtorch.run.tick import Tally
 from edtorch.run.transitions_file import Recorded
-from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
+from edtorch.types import Metrics, Parameters, Transition, replace, select
 from sims.base import Outcome
 
 EpisodeSharing = Literal["own", "all", "bootstrap"]
@@ -286,7 +286,8 @@ class Offline:
 
     def _climb(self) -> None:
         learner, here = self.learner, self.learners
-        found = learner.value(here.model, here.policy, here.noise, self._some_states())
+        known = here.model | learner.estimator.describe(here.fit)
+        found = learner.value(known, here.policy, here.noise, self._some_states())
         size = gradient_norm(found.gradient)
         sound = torch.isfinite(found.value + size)
         unit = learner.model.time_unit(self.world.seconds)
@@ -354,14 +355,12 @@ def _where(mask: Tensor, yes: Parameters, no: Parameters) -> Parameters:
     return {name: select(mask, yes[name], no[name]) for name in no}
 
 
-def learn(offline: Offline, steps: int, note: Callable[[], None], every: int) -> LearnerState:
-    """All transitions, then up to ``steps`` improvements; ``note`` is called after each ``every``
-    of either."""
+def learn(offline: Offline, steps: int, every: int) -> Iterator[None]:
+    """All transitions, then up to ``steps`` improvements; yields after each ``every`` of either."""
     while not offline.all_seen:
         offline.advance(every)
-        note()
+        yield
     left = steps
     while left > 0 and bool(offline.moving.any()):
         left -= offline.climb(min(every, left))
-        note()
-    return offline.learners
+        yield

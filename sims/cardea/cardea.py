@@ -194,7 +194,6 @@ class Cardea:
             measures=MEASURES,
             words=WORDS,
             survival=False,
-            can_fail=True,
         )
 
     def initial(self, uniforms: Tensor) -> Tensor:

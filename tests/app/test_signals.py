@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from edtorch.app import outputs
+from edtorch.app import learners
 from edtorch.app.build import build
 from edtorch.app.rundir import load_config
 from edtorch.app.signals import SIGNALS, Stop
@@ -105,7 +105,7 @@ def test_a_crash_is_recorded(
     def crash(*arguments: object, **more: object) -> None:
         raise RuntimeError("the pictures fell off the wall")
 
-    monkeypatch.setattr(outputs, "draw", crash)
+    monkeypatch.setattr(learners, "draw", crash)
     with pytest.raises(RuntimeError, match="fell off"):
         command("edtorch-train", "seeds=1", "train.seconds=2", "eval.episodes=0", "hydra.run.dir=x")
     folder = workplace / "x"
@@ -122,7 +122,7 @@ def test_full_disk_is_one_line_and_recorded(
     def full(*arguments: object, **more: object) -> None:
         raise OSError(28, "No space left on device", "learning_curve.png")
 
-    monkeypatch.setattr(outputs, "draw", full)
+    monkeypatch.setattr(learners, "draw", full)
     result = command(
         "edtorch-train", "seeds=1", "train.seconds=2", "eval.episodes=0", "hydra.run.dir=x"
     )

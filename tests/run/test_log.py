@@ -15,7 +15,14 @@ from rich.console import Console
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from edtorch.run.episodes import Episode, Snapshot
-from edtorch.run.log import ConsoleSink, CsvSink, StderrHandler, TensorBoardSink, median
+from edtorch.run.log import (
+    ConsoleSink,
+    CsvSink,
+    Snapshots,
+    StderrHandler,
+    TensorBoardSink,
+    median,
+)
 from sims.base import Outcome, Words
 
 NAN = math.nan
@@ -47,10 +54,11 @@ def test_median_of_what_is_a_number() -> None:
 
 
 def test_csv(tmp_path: Path) -> None:
-    sink = CsvSink(tmp_path, ["size"], WORDS)
+    made = Snapshots(WORDS)
+    sink = CsvSink(tmp_path, made.columns, ["size"])
     unknown = replace(EPISODE, total_reward=NAN, success=None, measures={"size": NAN})
-    sink.write(_snapshot(), [EPISODE, unknown])
-    sink.write(_snapshot(10.0), [])
+    sink.write(made.entry(_snapshot(), [EPISODE, unknown]))
+    sink.write(made.entry(_snapshot(10.0), []))
     # Readable while the run goes on.
     with (tmp_path / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -75,9 +83,10 @@ def test_csv(tmp_path: Path) -> None:
 
 
 def test_tensorboard(tmp_path: Path) -> None:
-    sink = TensorBoardSink(tmp_path, "noise:\n  exploration: 0.05\n", WORDS)
-    sink.write(_snapshot(5.0), [EPISODE])
-    sink.write(_snapshot(10.0, (NAN, NAN)), [])
+    sink = TensorBoardSink(tmp_path, "noise:\n  exploration: 0.05\n")
+    made = Snapshots(WORDS)
+    sink.write(made.entry(_snapshot(5.0), [EPISODE]))
+    sink.write(made.entry(_snapshot(10.0, (NAN, NAN)), []))
     sink.hparams({"step.alpha": 0.1, "debug": False, "model": "m"}, {"summary/falls": 4.0})
     sink.close()
     assert len(list(tmp_path.iterdir())) == 1
@@ -109,9 +118,10 @@ def _written(console: Console) -> str:
 
 def test_console_elsewhere_is_whole_plain_lines() -> None:
     console = _console()
+    made = Snapshots()
     sink = ConsoleSink(console, quiet=0.0)
-    sink.write(_snapshot(5.0), [])
-    sink.write(_snapshot(10.0), [])
+    sink.write(made.entry(_snapshot(5.0), []))
+    sink.write(made.entry(_snapshot(10.0), []))
     sink.close()
     lines = _written(console).splitlines()
     assert len(lines) == 2
@@ -122,29 +132,12 @@ def test_console_elsewhere_is_whole_plain_lines() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("failures", "successes", "told"),
-    [
-        ([0, 0], [0, 0], r"episodes 2 \[1, 3\]"),
-        ([2, 1], [0, 0], r"failures 1\.5 \[1, 2\]"),
-        ([0, 0], [1, 0], r"successes 0\.5 \[0, 1\]"),
-    ],
-)
-def test_console_counts_what_the_domain_does_not_declare_once_there_is_some(
-    failures: list[int], successes: list[int], told: str
-) -> None:
-    console = _console()
-    sink = ConsoleSink(console, can_fail=False, can_succeed=False)
-    sink.write(replace(_snapshot(), failures=failures, successes=successes), [])
-    sink.close()
-    assert re.match(rf" +5 s  {told}  value", _written(console))
-
-
 def test_console_elsewhere_is_quiet_in_between() -> None:
     console = _console()
+    made = Snapshots()
     sink = ConsoleSink(console, quiet=3600.0)
     for second in range(5):
-        sink.write(_snapshot(float(second)), [])
+        sink.write(made.entry(_snapshot(float(second)), []))
     sink.close()
     # One line at once, to show that it works.
     assert _written(console).count("\n") == 1
@@ -157,11 +150,12 @@ def test_console_on_a_terminal_is_one_line(monkeypatch: pytest.MonkeyPatch) -> N
     logger = logging.getLogger("test_console")
     handler = StderrHandler()
     logger.addHandler(handler)
+    made = Snapshots()
     sink = ConsoleSink(console)
     try:
-        sink.write(_snapshot(5.0), [])
+        sink.write(made.entry(_snapshot(5.0), []))
         logger.warning("something odd")
-        sink.write(_snapshot(10.0), [])
+        sink.write(made.entry(_snapshot(10.0), []))
     finally:
         sink.close()
         logger.removeHandler(handler)

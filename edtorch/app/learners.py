@@ -1,0 +1,236 @@
+"""Learners that live in their worlds."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from edtorch.app.build import Setup
+from edtorch.app.domain import described
+from edtorch.app.errors import ConfigError
+from edtorch.app.evaluations import Evaluations, News
+from edtorch.app.job import Job, Work
+from edtorch.app.pictures import draw, draw_tasks
+from edtorch.app.rundir import CHECKPOINT, TRANSITIONS, command_line, versions
+from edtorch.app.settings import Settings
+from edtorch.app.summary import broken, never_succeeded, summarise, summary_table
+from edtorch.compiled.compilation import CannotCompile
+from edtorch.compiled.tiles import Tiles
+from edtorch.errors import CovarianceFloored
+from edtorch.learner.learner import Learner
+from edtorch.report.statistics import evaluation_figures
+from edtorch.run.checkpoint import PolicyCard, save_training
+from edtorch.run.episodes import Episode
+from edtorch.run.log import Entry, Snapshots, spread_scalars
+from edtorch.run.recorder import Recorder
+from edtorch.run.training import Training
+from edtorch.run.transitions_file import gathered, save_transitions
+from edtorch.types import Parameters
+
+logger = logging.getLogger("edtorch")
+
+_PIECE = 64
+"""Ticks between two looks at whether to stop."""
+
+
+class Learners(Work):
+    """A population; the policies that it leaves are the best so far with ``eval.keep``."""
+
+    def __init__(self, setup: Setup, config: Settings) -> None:
+        self._setup = setup
+        self._config = config
+        self._recorder: Recorder | None = None
+        notes = [*getattr(setup.world.sim, "notes", ())]
+        if config.log.transitions:
+            self._recorder = Recorder(setup.world, len(setup.seeds))
+            notes.insert(0, "every transition is kept, and the tick is not compiled for it")
+        self._training = training = Training(
+            setup.learner,
+            setup.world,
+            setup.seeds,
+            setup.budget,
+            max(1, setup.world.limit_ticks // 10_000),
+            setup.schedule,
+            self._recorder,
+        )
+        world, zero = training.worlds.world[:1], torch.zeros(1, dtype=torch.float64)
+        self.domain = described(setup.world, setup.world.sim.measures(world, world, zero))
+        self._evaluations = Evaluations(setup, config, self.domain)
+        self._snapshots = Snapshots(self.domain.words)
+        self.title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
+        self.seeds, self.budget = setup.seeds, setup.budget
+        budget = setup.budget.in_words(self.domain.words.successes)
+        precision = "float64" if setup.world.dtype.itemsize == 8 else "mixed precision"
+        self.notes = [*notes, f"{self.title}; at most {budget} each; {setup.path}; {precision}"]
+        self.columns = self._snapshots.columns
+        self.measures = [m.name for m in self.domain.measures]
+        self.actor, self.observer = setup.learner.policy, setup.learner.observer
+        self.world = setup.calm
+
+    @property
+    def seconds(self) -> float:
+        """See ``Work``."""
+        return self._training.seconds
+
+    @property
+    def ticks(self) -> int:
+        """See ``Work``."""
+        return int(self._training.learners.tick.sum())
+
+    @property
+    def parameters(self) -> Parameters:
+        """See ``Work``."""
+        return self._evaluations.to_save(self._training)
+
+    @property
+    def card(self) -> PolicyCard:
+        """See ``Work``."""
+        return self._setup.card
+
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """See ``Work``."""
+        return self._training.episodes
+
+    @property
+    def evaluating(self) -> tuple[float, float]:
+        """See ``Work``."""
+        return self._evaluations.wall_s, self._evaluations.cpu_s
+
+    def run(self, job: Job) -> None:
+        """The loop to the end of every budget."""
+        training, setup = self._training, self._setup
+        per_snapshot = max(1, round(self._config.log.every / training.world.dt))
+        reported, warned, floored = 0, set[int](), set[int]()
+        waiting, after = setup.compiled, setup.compute.after
+        while not training.done:
+            if waiting is not None and training.clock >= after:
+                _go_on_compiled(training, waiting, required=setup.compute.required)
+                waiting = None
+            ticks = self._evaluations.ticks_ahead(training.clock, per_snapshot)
+            if waiting is not None:
+                ticks = min(ticks, after - training.clock)
+            for done in range(0, ticks, _PIECE):
+                training.advance(min(_PIECE, ticks - done))
+                job.pause()
+            snapshot = training.snapshot()
+            if setup.indicator is not None:
+                estimate = setup.indicator(training.learners, training.worlds.observation)
+                snapshot = dataclasses.replace(snapshot, value_error=estimate.tolist())
+            _warn_of_trouble(training, warned)
+            _warn_of_floors(training, floored)
+            job.take(self._snapshots.entry(snapshot, training.episodes[reported:]))
+            reported = len(training.episodes)
+            news = self._evaluations.run_if_due(training)
+            if news is not None:
+                job.take(_entry(news))
+
+    def evaluate(self, job: Job) -> None:
+        """Fresh episodes of each policy."""
+        count = self._config.eval.episodes
+        if count and not self._evaluations.is_fresh(self._training):
+            job.console.print(f"{count} fresh episodes for each policy...")
+        last = self._evaluations.run(self._training)
+        figures = evaluation_figures(last.episodes, self.domain.measures, self.domain.words)
+        scalars = spread_scalars("evaluation", figures)
+        job.take(Entry(scalars=scalars, step=round(self.seconds)))
+
+    def save(self, folder: Path, *, ended: bool) -> None:
+        """The population, and in the end its transitions if they are kept."""
+        save_training(folder / CHECKPOINT, self._training)
+        if ended and self._recorder is not None:
+            world = self._setup.world
+            lives = [self._recorder.lived(row) for row in range(len(self.seeds))]
+            about = {"command": command_line(), "versions": versions()}
+            recorded = gathered(lives, self.seeds, world.dt)
+            save_transitions(folder / TRANSITIONS, recorded, world.spec, about)
+
+    def draw(self, folder: Path, *, animate: bool) -> Figure:
+        """Learning curve, and an animation if the sim can draw itself."""
+        if self._training.world.spec.goal:
+            return draw_tasks(self._training, self.domain, self.world(), folder, animate=animate)
+        return draw(self._training, self.domain, folder, animate=animate)
+
+    def summary(self) -> dict[str, Any]:
+        """Without an evaluation in a run that was interrupted before it."""
+        self._evaluations.leave_out(self._training)
+        return summarise(self._training, self._evaluations)
+
+    def told(self, summary: dict[str, Any]) -> list[Table | str]:
+        """Figures over the seeds, who never succeeded, how long it took."""
+        never = never_succeeded(summary, self.domain)
+        return [
+            summary_table(summary, self.domain, self.title),
+            *([] if never is None else [never]),
+            f"learning {summary['wall_s']:.1f} s ({summary['ticks_per_cpu_s']:.0f} learner ticks"
+            f" per CPU s), evaluation {summary['eval_s']:.1f} s,"
+            f" pictures {summary['figures_s']:.1f} s",
+        ]
+
+
+def _entry(news: News) -> Entry:
+    return Entry(
+        scalars=spread_scalars("evaluation", news.figures),
+        step=round(60 * news.minutes),
+        news=f"after {news.minutes:g} min: {news.text}",
+    )
+
+
+def _warn_of_trouble(training: Training, warned: set[int]) -> None:
+    """One line for each learner whose numbers broke, when it is first seen."""
+    for row, (place, tick) in broken(training).items():
+        if row not in warned:
+            warned.add(row)
+            logger.warning(
+                "seed %d: not finite in %s from tick %d (%.2f s) on; such updates are skipped",
+                training.seeds[row],
+                place,
+                tick,
+                tick * training.world.dt,
+            )
+
+
+def _warn_of_floors(training: Training, warned: set[int]) -> None:
+    """One line for each learner whose covariances had to be repaired, when it is first seen."""
+    for row in (training.first_floored >= 0).nonzero().flatten().tolist():
+        if row not in warned:
+            warned.add(row)
+            logger.warning(
+                "seed %d: %s from step %d of the unroll on (tick %d or before): the covariance was "
+                "not positive semidefinite",
+                training.seeds[row],
+                CovarianceFloored.__name__,
+                int(training.first_floored[row]),
+                training.clock,
+            )
+
+
+def _go_on_compiled(training: Training, learner: Learner, *, required: bool) -> None:
+    """From now on by a compiled program; without one, as before, if that is allowed."""
+    began = time.monotonic()
+    logger.info("compiling the tick, unless that has been done before...")
+    try:
+        tick = dataclasses.replace(training.tick, learner=learner)
+        stage = Tiles(tick, training.stage.population, training.seeds)
+    except CannotCompile as error:
+        if required:
+            raise ConfigError(f"compute.compile=on: {error}") from error
+        logger.warning("not compiled, and several times slower for it: %s", error)
+        return
+    training.stage = stage
+    how = "kept for the next run" if stage.was_compiled else "from the cache"
+    logger.info(
+        "compiled from tick %d on, in tiles of %d learners (%.1f s, %s)",
+        training.clock,
+        stage.size,
+        time.monotonic() - began,
+        how,
+    )
