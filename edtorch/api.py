@@ -11,7 +11,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import torch
@@ -21,6 +21,7 @@ from torch import nn
 from edtorch.app.arguments import (
     World,
     budget_overrides,
+    check_kinds,
     domain_of,
     in_arguments,
     reward_of,
@@ -30,7 +31,7 @@ from edtorch.app.domain import build_sim
 from edtorch.app.errors import EXPECTED, ConfigError, one_line
 from edtorch.app.given import Given, with_objects
 from edtorch.app.job import Job, Work
-from edtorch.app.learned import Run, copied, read_records, read_summary
+from edtorch.app.learned import Run, copied, new_folder, read_records, read_summary
 from edtorch.app.outputs import Memory, write_run
 from edtorch.app.policies import frozen_world, stored_policies
 from edtorch.app.rundir import POLICY, SUMMARY, as_settings, read_config
@@ -71,6 +72,7 @@ def learn(
     save: str | Path | None = None,
     time_limit: float | None = None,
     scale: Mapping[str, float] | None = None,
+    termination: Literal["failure", "success"] | None = None,
 ) -> Run:
     """Let ``seeds`` learners, with the seeds ``seed``, ``seed + 1``, ..., learn to control ``env``.
 
@@ -96,16 +98,19 @@ def learn(
     - ``angles``: names of components in radians, or by name ``"deg"`` or the names of a pair
       (cosine, sine), which becomes one angle; ``rates``: by name of a rate the component that it is
       the rate of.
+    - ``termination``: what it means that the environment terminates an episode, where neither its
+      ``info["is_success"]`` nor its registered threshold tells: by default a failure.
     - ``progress``: whether to print on the way; ``save``: a folder for ``Run.save``.
 
     Ctrl-C ends learning after the tick; the run then holds what there is.  Raises ValueError with
     one line for whatever is wrong with the arguments.
     """
-    world = World(dt, time_limit, names, action_names, angles, rates, scale)
+    world = World(dt, time_limit, names, action_names, angles, rates, scale, termination)
     stop, began = Stop(), time.monotonic()
     console = Console(quiet=not progress)
     own = reward is not None or policy is not None
     with _refusing():
+        check_kinds(dict(target=target, weights=weights, overrides=overrides) | world.kinds())
         config = compose(
             [
                 f"experiment={preset}",
@@ -123,6 +128,8 @@ def learn(
             config = with_objects(config, {"policy": {"given": Given(policy)}})
         _check_copies(config, seeds)
         _, begin = prepared(config)
+        if save is not None:
+            new_folder(Path(save))
         memory = Memory()
         with _threads(config.compute.threads), stop.listening(ending=False), _messages(progress):
             work = begin()

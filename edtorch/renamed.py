@@ -105,7 +105,52 @@ def current_keys(settings: Mapping[str, Any]) -> dict[str, Any]:
         if isinstance(before, dict) and old_key in before:
             value, node = before.pop(old_key), result.get(group)
             result[group] = {**(node if isinstance(node, dict) else {}), key: value}
+    domain = result.get("domain")
+    inner = domain.get("sim") if isinstance(domain, dict) else None
+    for node in (domain, inner):
+        if isinstance(node, Mapping) and node.get("_target_") in _DOMAINS:
+            name = _DOMAINS[node["_target_"]]
+            result |= {key: _components(name, result[key]) for key in _NAMING if key in result}
     return result
+
+
+COMPONENTS = {"linear": {"s": "state_", "a": "action_"}}
+"""By domain, what comes before the numbers of its components, by what came before them earlier."""
+
+_DOMAINS = {"sims.linear.LinearSystem": "linear"}
+_NAMING = ("domain", "reward", "command", "observation", "offline")
+"""The groups whose settings name components."""
+
+
+def current_component(domain: str, name: str) -> str:
+    """The present name of a component of a domain."""
+    for old, new in COMPONENTS.get(domain, {}).items():
+        if name.startswith(old) and name.removeprefix(old).isdigit():
+            return new + name.removeprefix(old)
+    return name
+
+
+def _components(domain: str, node: Any) -> Any:
+    """A node of the settings with the present names of components."""
+    if isinstance(node, Mapping):
+        return {
+            current_component(domain, key): _components(domain, value)
+            for key, value in node.items()
+        }
+    if isinstance(node, list):
+        return [_components(domain, value) for value in node]
+    return current_component(domain, node) if isinstance(node, str) else node
+
+
+def former_keys(key: str) -> list[str]:
+    """The names that a setting had before."""
+    parent, _, last = key.rpartition(".")
+    names = [old for old, new in RENAMED_KEYS.items() if new == key]
+    for prefixes in COMPONENTS.values():
+        for old, new in prefixes.items():
+            if last.startswith(new) and last.removeprefix(new).isdigit():
+                names.append(f"{parent}.{old}{last.removeprefix(new)}")
+    return names
 
 
 def current_name(name: str) -> str | None:

@@ -116,6 +116,8 @@ class Spec:
     What makes an episode a success, beside ``Outcome.SUCCEEDED`` (``edtorch.run.success``):
     ``success_return``: a return of at least this much; ``survival``: whether reaching the time
     limit without a failure is one, None: it is if some episode of the run has failed.
+    ``can_fail``: whether an episode can fail at all, so that none that did is worth telling; with
+    ``survival`` it can; None: told only where one has.
     """
 
     name: str
@@ -132,6 +134,7 @@ class Spec:
     measures: tuple[Measure, ...] = ()
     words: Words = DEFAULT_WORDS
     survival: bool | None = None
+    can_fail: bool | None = None
     shortest: str = ""
     success_return: float | None = None
 

@@ -49,8 +49,8 @@ class GymnasiumSim:
     action   ``[*batch, m]``, in the environment's own units
     start    the environment's, seeded by the one uniform number of a restart
     end      terminated: FAILED (or SUCCEEDED, by ``termination``); truncated: TIMED_OUT
-    success  as the environment says, else a return of at least its registered threshold, else
-             ``sims.base.Spec.survival``
+    success  as the environment says, else a return of at least its registered threshold (not with a
+             ``time_limit`` below its own), else ``sims.base.Spec.survival``
     lost     the environment raised an error, or gave numbers that are not finite, or an observation
              of another shape: the episode ends there and counts for nothing
     measures ``return``
@@ -70,7 +70,9 @@ class GymnasiumSim:
     the greatest size within the bounds where they are finite, else 1; an action without bounds
     needs one); ``headline``: the component that figures show (default: the first); ``clip_action``:
     whether actions are held within the box; ``termination``: what the environment's termination
-    means, "failure" or "success".
+    means, "failure" (then lasting to the time limit is a success) or "success" (then it is none);
+    by default it is a failure where the environment does not say or pay otherwise.  ``notes``: what
+    a user should know of these defaults, one line each.
     """
 
     def __init__(
@@ -88,14 +90,14 @@ class GymnasiumSim:
         rates: Mapping[str, str] | None = None,
         headline: str | None = None,
         clip_action: bool = True,
-        termination: Literal["failure", "success"] = "failure",
+        termination: Literal["failure", "success"] | None = None,
         env_kwargs: Mapping[str, Any] | None = None,
     ) -> None:
         """Make one copy, to see what it is like."""
-        if termination not in ("failure", "success"):
+        if termination not in ("failure", "success", None):
             raise ValueError(f"termination={termination!r}: expected 'failure' or 'success'")
         self._source = source_of(env_id, env, env_kwargs or {})
-        self._ended = Outcome.FAILED if termination == "failure" else Outcome.SUCCEEDED
+        self._ended = Outcome.SUCCEEDED if termination == "success" else Outcome.FAILED
         name, first = self._source.name, self._source.first
         self._envs = [first]
         self._last: Tensor | None = None
@@ -109,23 +111,22 @@ class GymnasiumSim:
             raise ValueError(f"dt=None: expected the seconds per step, {name} does not say them")
         if not (math.isfinite(dt) and dt > 0):
             raise ValueError(f"dt={dt!r}: expected a finite number of seconds above 0 ({name})")
-        if time_limit is None:
-            steps = stated_limit(first)
-            if steps is None:
-                steps = _UNSTATED_LIMIT
-                self.notes.append(
-                    f"{name} states no limit of steps: an episode ends after {steps} of them"
-                    f" ({steps * dt:g} s); time_limit=... sets another"
-                )
-            time_limit = steps * dt
-        if not time_limit >= dt:
-            raise ValueError(f"time_limit={time_limit!r}: expected at least dt, {dt} s ({name})")
+        threshold = stated_threshold(first)
+        time_limit, own = self._limits(time_limit, dt, stated_limit(first))
+        if threshold is not None and time_limit < own - dt / 2:
+            self.notes.append(
+                f"time_limit={time_limit:g} s is below the {own:g} s of {name}, so that its return"
+                f" of {threshold:g} for a success does not apply; eval.success_return=... sets one"
+            )
+            threshold = None
         state = _named("state", observation, state_names)
         self._view: AngleView | None = None
         if angles:
             self._view, state = angle_view(state, angles)
         state = _scaled("state", with_rates(state, rates or {}), state_scale)
         action = _scaled("action", _named("action", self._box, action_names), action_scale)
+        for name in {q.name for q in action} & {q.name for q in state}:
+            raise ValueError(f"action_names: {name!r} is a component of the state, too")
         self._spec = Spec(
             name=name,
             state=state,
@@ -136,12 +137,31 @@ class GymnasiumSim:
             reset_dim=1,
             clip_action=clip_action,
             headline=state[0].name if headline is None else headline,
-            success_return=stated_threshold(first),
-            survival=False if termination == "success" else None,
+            success_return=threshold,
+            survival=None if termination is None else termination == "failure",
         )
         if self._spec.headline not in [quantity.name for quantity in state]:
             names = ", ".join(quantity.name for quantity in state)
             raise ValueError(f"headline={headline!r}: expected one of {names}")
+
+    def _limits(self, given: float | None, dt: float, steps: int | None) -> tuple[float, float]:
+        """Seconds after which an episode ends, and those after which the environment ends it."""
+        name, own = self._source.name, math.inf if steps is None else steps * dt
+        if given is None and steps is None:
+            given = _UNSTATED_LIMIT * dt
+            self.notes.append(
+                f"{name} states no limit of steps: an episode ends after {_UNSTATED_LIMIT} of them"
+                f" ({given:g} s); time_limit=... sets another"
+            )
+        if given is not None and not (math.isfinite(given) and given >= dt):
+            raise ValueError(
+                f"time_limit={given!r}: expected a finite number of at least dt, {dt} s ({name})"
+            )
+        if given is not None and given > own + dt / 2:
+            self.notes.append(
+                f"time_limit={given:g} s is above the {own:g} s after which {name} ends an episode"
+            )
+        return (own if given is None else min(given, own)), own
 
     @property
     def spec(self) -> Spec:
@@ -201,13 +221,14 @@ class GymnasiumSim:
                 )
                 row[:_TERMINATED] = self._checked(observation)
                 row[_RETURN] += _finite_reward(reward)
+                success = info.get("is_success")
             except Exception as error:  # whatever the environment does, it loses this episode only
                 self._lose(row, error)
                 continue
             self._has_stepped = True
             row[_TERMINATED], row[_TRUNCATED] = float(terminated), float(truncated)
-            if "is_success" in info:
-                row[_SUCCESS] = float(bool(info["is_success"]))
+            if success is not None:
+                row[_SUCCESS] = float(bool(success))
         return self._return(rows.reshape(state.shape))
 
     def observe(self, state: Tensor) -> Tensor:
@@ -320,8 +341,10 @@ def _finite_reward(reward: Any) -> float:
 def _named(which: str, box: spaces.Box, names: Sequence[str] | None) -> tuple[Quantity, ...]:
     (size,) = box.shape
     names = [f"{which}_{k}" for k in range(size)] if names is None else list(names)
-    if len(names) != size or len(set(names)) < size:
-        raise ValueError(f"{which}_names={names}: expected {size} different ones")
+    if len(names) != size or len(set(names)) < size or not all(isinstance(n, str) for n in names):
+        raise ValueError(
+            f"{which}_names={names}: expected {size} different ones, one for each component"
+        )
     return tuple(
         Quantity(name, "1", low=low, high=high)
         for name, (low, high) in zip(names, bounds(box), strict=True)

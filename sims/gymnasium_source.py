@@ -139,7 +139,7 @@ def stated_threshold(env: Env) -> float | None:
 
 def observation_box(name: str, space: gymnasium.Space[Any]) -> spaces.Box:
     """The space of observations, a vector; ValueError with the way to wrap any other."""
-    if isinstance(space, spaces.Box) and len(space.shape) == 1:
+    if isinstance(space, spaces.Box) and len(space.shape) == 1 and space.shape[0]:
         return space
     flatten = "wrap it in gymnasium.wrappers.FlattenObservation"
     remedy = "supported are vectors of numbers"
@@ -159,14 +159,17 @@ def observation_box(name: str, space: gymnasium.Space[Any]) -> spaces.Box:
 
 def action_box(name: str, space: gymnasium.Space[Any]) -> spaces.Box:
     """The space of actions, a vector; ValueError with the way to wrap any other."""
-    if isinstance(space, spaces.Box) and len(space.shape) == 1:
-        return space
     remedy = "supported is a one-dimensional Box"
-    if isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
+    discrete = isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary)
+    if discrete or (isinstance(space, spaces.Box) and space.dtype.kind != "f"):
         remedy = (
             "discrete actions are not supported; use a version with continuous actions, or map"
             " numbers to them with gymnasium.wrappers.TransformAction"
         )
+    elif isinstance(space, spaces.Box) and len(space.shape) == 1:
+        if space.shape[0] and (space.low < space.high).all():
+            return space
+        remedy = "expected at least one action, and bounds that leave it a range"
     elif isinstance(space, spaces.Dict | spaces.Tuple | spaces.Box):
         remedy = (
             "supported is a one-dimensional Box; map one to it with"

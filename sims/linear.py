@@ -16,8 +16,8 @@ class LinearSystem:
     """s' = F s + G a + noise w, with w standard normal.
 
     ======== ==================================================================================
-    state    ``[*batch, n]``, all of it observed, as s0, s1, ...; no unit
-    action   ``[*batch, m]``, a0, a1, ..., not clipped
+    state    ``[*batch, n]``, all of it observed, as state_0, state_1, ...; no unit
+    action   ``[*batch, m]``, action_0, action_1, ..., not clipped
     start    each component uniform in [-start, start]
     end      TIMED_OUT after ``time_limit``; FAILED if a component leaves [-1000 start, 1000 start],
              which an unstable loop will do
@@ -55,14 +55,14 @@ class LinearSystem:
         self._F, self._G, self._noise, self._start = F, G, noise, start
         self._spec = Spec(
             name="linear",
-            state=tuple(Quantity(f"s{i}", "1") for i in range(F.shape[0])),
-            action=tuple(Quantity(f"a{i}", "1") for i in range(G.shape[1])),
+            state=tuple(Quantity(f"state_{i}", "1") for i in range(F.shape[0])),
+            action=tuple(Quantity(f"action_{i}", "1") for i in range(G.shape[1])),
             dt=dt,
             time_limit=time_limit,
             disturbance_dim=2 * F.shape[0],
             reset_dim=F.shape[0],
             clip_action=False,
-            headline="s0",
+            headline="state_0",
             measures=(Measure("final_size", "size of the last state", "", "lower"),),
             survival=True,
         )

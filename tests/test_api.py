@@ -84,8 +84,9 @@ def test_numbers_are_those_of_the_command_for_an_environment(tmp_path: Path) -> 
 
 @pytest.mark.oracle
 def test_numbers_are_those_of_the_command_for_the_bicycle(tmp_path: Path) -> None:
+    quick = (*QUICK, "domain.time_limit=5", "compute.compile=off")
     run = edtorch.learn(
-        preset="bicycle", seconds=3, seeds=2, seed=1, overrides=QUICK, progress=False
+        preset="bicycle", seconds=3, seeds=2, seed=1, overrides=quick, progress=False
     )
     call(
         "edtorch-train",
@@ -93,7 +94,7 @@ def test_numbers_are_those_of_the_command_for_the_bicycle(tmp_path: Path) -> Non
         "train.seconds=3",
         "seeds=2",
         "seed=1",
-        *QUICK,
+        *quick,
         f"hydra.run.dir={tmp_path / 'run'}",
     )
     _same_as_command(run, tmp_path / "run")
@@ -202,7 +203,7 @@ def test_local_objects_must_be_given_again(tmp_path: Path) -> None:
 
 def test_a_sim_is_an_environment(tmp_path: Path) -> None:
     sim = LinearSystem([[1.01]], [[0.1]], dt=0.1, time_limit=3.0)
-    run = learn(sim, dt=None, time_limit=None, target={"s0": 0.0}, save=tmp_path / "mine")
+    run = learn(sim, dt=None, time_limit=None, target={"state_0": 0.0}, save=tmp_path / "mine")
     assert run.policy.predict([0.5]).shape == (1,)
     with pytest.raises(ValueError, match="domain: was an object"):
         edtorch.load(tmp_path / "mine")
@@ -299,7 +300,7 @@ def _broken() -> Cart:
         (Discrete, {}, "discrete actions are not supported"),
         (Nested, {}, "supported are vectors; wrap it in gymnasium.wrappers.FlattenObservation"),
         (Camera, {}, "images are not supported; wrap it in gymnasium.wrappers.TransformObs"),
-        (Unbounded, {}, "action_scale=None: expected a scale for action_0, which has no bounds"),
+        (Unbounded, {}, "scale=None: expected a scale for action_0, which has no bounds"),
         (Cart, {"dt": None}, "dt=None: expected the seconds per step, Cart does not say them"),
         (Cart, {"names": ["place"]}, "names=['place']: expected 2 different ones"),
         (Cart, {"target": {"height": 1.0}}, "target.height=1.0: expected one of state_0"),

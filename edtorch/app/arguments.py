@@ -5,8 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 from edtorch.app.errors import ConfigError
@@ -25,7 +26,8 @@ GYMNASIUM = "sims.from_gymnasium.GymnasiumSim"
 _ARGUMENTS = (
     (r"domain\.(env_id|env)\b", "env"),
     (r"domain\.state_names\b", "names"),
-    (r"domain\.", ""),
+    (r"domain\.(state|action)_scale\b", "scale"),
+    (r"domain(\.|: (?=\w+\.))", ""),
     (r"reward\.target\.", "target."),
     (r"reward\.(state|action)\.", "weights."),
     (r"train\.", ""),
@@ -42,6 +44,37 @@ def in_arguments(message: str) -> str:
     return message
 
 
+def check_kinds(told: Mapping[str, Any]) -> None:
+    """Refuse arguments of ``learn``, by name, that are of the wrong kind; None is of any."""
+    for name, value in told.items():
+        fits, expected = _KINDS[name]
+        if value is not None and not fits(value):
+            raise ConfigError(f"{name}={value!r}: expected {expected}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _is_mapping(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _is_list(value: Any) -> bool:
+    listed = isinstance(value, Sequence) and not isinstance(value, str)
+    return listed and all(isinstance(v, str) for v in value)
+
+
+_KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    **dict.fromkeys(("dt", "time_limit"), (_is_number, "a number of seconds")),
+    **dict.fromkeys(("names", "action_names"), (_is_list, "a list of names")),
+    **dict.fromkeys(("target", "weights", "scale"), (_is_mapping, "{NAME: NUMBER, ...}")),
+    "rates": (_is_mapping, "{RATE: COMPONENT, ...}"),
+    "angles": (lambda v: _is_mapping(v) or _is_list(v), "a list of names, or {NAME: 'deg', ...}"),
+    "overrides": (_is_list, "a list of texts, ['KEY=VALUE', ...]"),
+}
+
+
 @dataclass(frozen=True)
 class World:
     """The arguments of ``learn`` that describe the environment; see there."""
@@ -53,6 +86,11 @@ class World:
     angles: Any = None
     rates: Mapping[str, str] | None = None
     scale: Mapping[str, float] | None = None
+    termination: str | None = None
+
+    def kinds(self) -> dict[str, Any]:
+        """Those of which ``check_kinds`` knows the kind."""
+        return {name: value for name, value in vars(self).items() if name in _KINDS}
 
     def given(self) -> dict[str, Any]:
         """The arguments that are not None."""
@@ -132,6 +170,8 @@ def reward_of(
             raise ConfigError(
                 f"weights.{name}={weight}: expected one of {', '.join([*states, *actions])}"
             )
+        if not _is_number(weight):
+            raise ConfigError(f"weights.{name}={weight}: expected a finite number >= 0")
         (state if name in states else action)[name] = float(weight)
     wanted = {name: float(value) for name, value in (target or {}).items()}
     return {"by_scale": True, "state": state, "action": action, "target": wanted}
@@ -140,7 +180,7 @@ def reward_of(
 def _check_target(name: str, value: Any, states: Mapping[str, Quantity], spec: Spec) -> None:
     if name not in states:
         raise ConfigError(f"target.{name}={value}: expected one of {', '.join(states)}")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if not (_is_number(value) and math.isfinite(value)):
         raise ConfigError(f"target.{name}={value}: expected a finite number")
     q = states[name]
     if not q.period and not q.low <= value <= q.high:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from edtorch.app.checks import at_least
+from edtorch.app.checks import at_least, positive
 from edtorch.app.errors import ConfigError
 from edtorch.run.episodes import Budget
 
 
 def build_budget(config: Any) -> Budget:
     """What a learner may use.  Raises ConfigError."""
-    if config.seconds is not None and not (math.isfinite(config.seconds) and config.seconds > 0):
-        raise ConfigError(f"train.seconds={config.seconds}: expected a finite number > 0, or null")
+    if config.seconds is not None:
+        positive("train.seconds", config.seconds)
     for name in ("episodes", "successes"):
         if config[name] is not None:
             at_least(f"train.{name}", config[name], 1)

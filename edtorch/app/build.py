@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from edtorch.app.budget import build_budget
-from edtorch.app.checks import at_least, check_numbers, check_seeds
+from edtorch.app.checks import at_least, check_numbers, check_seeds, positive
 from edtorch.app.compute import (
     Compute,
     check_machine,
@@ -63,8 +63,7 @@ def _check(config: Settings) -> None:
     at_least("eval.episodes", config.eval.episodes, 0)
     at_least("eval.keep", config.eval.keep, 0)
     for place, minutes in enumerate(config.eval.minutes):
-        if not minutes > 0:
-            raise ConfigError(f"eval.minutes[{place}]={minutes}: expected a number > 0")
+        positive(f"eval.minutes[{place}]", minutes)
     at_least("compute.threads", config.compute.threads, 1)
     at_least("log.every", config.log.every, 1)
     at_least("log.checkpoint", config.log.checkpoint, config.log.every)
@@ -115,7 +114,7 @@ def _assemble(config: Settings, sim: Sim, budget: Budget, compute: Compute) -> S
         world = World(sim, compute.dtype, compute.device, unwrap, reward, threshold)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     if config.eval.domain:
-        build_sim(evaluated)
+        build_sim(evaluated, "eval.domain")
     indicator = compiled = None
     unknowns = 1
     if has_inverse(config):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from edtorch.app.errors import ConfigError
+from edtorch.app.overrides import given, typed
 from edtorch.app.settings import Settings
 
 
@@ -15,6 +16,28 @@ def at_least(key: str, value: float, least: float) -> None:
     if not (math.isfinite(value) and value >= least):
         kind = "an integer" if isinstance(value, int) else "a finite number"
         raise ConfigError(f"{key}={value}: expected {kind} >= {least:g}")
+
+
+def positive(key: str, value: float) -> None:
+    """Refuse what is no finite number above 0."""
+    if not (math.isfinite(value) and value > 0):
+        raise ConfigError(f"{key}={value}: expected a number > 0")
+
+
+def check_component(key: str, value: Any, name: str, known: Iterable[str]) -> None:
+    """Refuse a ``name`` of a component that the domain does not have."""
+    known = list(known)
+    if name not in known:
+        raise ConfigError(f"{key}={value}: expected one of {', '.join(known)}{preset_hint(key)}")
+
+
+def preset_hint(key: str) -> str:
+    """For a setting that does not fit the domain: the preset that made it, "" if it was typed."""
+    words = [override.lstrip("+~").partition("=")[0] for override in typed()]
+    if given(key) or any(f"{key}.".startswith(f"{word}.") for word in words):
+        return ""
+    preset = given("experiment") or "the default experiment"
+    return f"; {preset} sets it for another domain, experiment=regulation takes any"
 
 
 def check_numbers(config: Any, key: str = "") -> None:

@@ -14,12 +14,22 @@ from edtorch.run.episodes import Episode
 from edtorch.run.scaled_sim import World
 from sims.base import Rewarded, Sim
 
+METHODS = ("initial", "restart", "step", "observe", "outcome", "measures")
+"""Of a ``Sim``."""
 
-def build_sim(config: Any) -> Sim:
-    """The domain."""
-    if is_given(config):
-        return given_part("domain", config)
-    return construct("domain", config, "initial", "restart", "step", "observe", "outcome")
+
+def build_sim(config: Any, key: str = "domain") -> Sim:
+    """The domain; key: of the settings, for messages."""
+    if not is_given(config):
+        return construct(key, config, *METHODS)
+    sim = given_part("domain", config)
+    lacking = [name for name in ("spec", *METHODS) if not hasattr(sim, name)]
+    if lacking:
+        raise ConfigError(
+            f"env: {type(sim).__name__} lacks {', '.join(lacking)}; expected a simulator"
+            " (sims.base.Sim), or an environment of Gymnasium"
+        )
+    return sim
 
 
 def changed_domain(domain: Any, changes: Any, key: str) -> Settings:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from edtorch.app.compose import CONF, launch, plainly
 from edtorch.app.domain import described, measured
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
 from edtorch.app.groups import Evaluate
+from edtorch.app.learned import read_records
 from edtorch.app.policies import frozen_world, stored_policies
 from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
 from edtorch.app.schema import checked_fields
@@ -29,6 +30,7 @@ from edtorch.report.quantities import evaluation, told_of
 from edtorch.report.statistics import evaluation_figures
 from edtorch.report.text import number
 from edtorch.run.checkpoint import write_text
+from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate, evaluate_controller
 from edtorch.run.scaled_sim import World
 from sims.base import baselines_of
@@ -77,6 +79,12 @@ def _baselines(config: Settings, world: World, domain: Domain, seeds: list[int])
     return found
 
 
+def _lived(folder: Path, world: World, seeds: list[int]) -> Sequence[Episode]:
+    """The episodes of the run, where they decide what a success is."""
+    path = folder / "episodes.csv"
+    return read_records(path, seeds) if world.rule.survival is None and path.is_file() else ()
+
+
 def _task(composed: Any) -> float:
     with Stop().listening(), refusing():
         return _evaluate(checked_fields(Evaluate, plainly(composed)))
@@ -109,6 +117,7 @@ def _evaluate(config: Settings) -> float:
         seeds,
         config.episodes,
         observer=stored.observer,
+        among=_lived(folder, world, seeds) if config.policy is None else (),
     )
     domain = described(world, measured(episodes))
     baselines = _baselines(config, world, domain, seeds)

@@ -70,6 +70,7 @@ class Evaluations:
         self.kept: Kept | None = None
         size = len(setup.seeds)
         self._parameters: Parameters = {}
+        self._among: Sequence[Episode] = ()
         measures = self.domain.measures
         self.trials = Trials(size, self._episodes, self._fresh, measures) if self._due else None
         self._clock = -1
@@ -113,7 +114,7 @@ class Evaluations:
         episodes, minutes = [[] for _ in training.seeds], training.seconds / 60
         if self._episodes:
             count = self._episodes
-            self._parameters = self._setup.learner.acting(training.learners)
+            self._look_at(training)
             found = self._fresh(range(len(training.seeds)), count + self._judged)
             episodes = [own[:count] for own in found]
             if self._judged:
@@ -139,7 +140,7 @@ class Evaluations:
         assert self.trials is not None
         self._charge(training)
         wall, cpu = time.monotonic(), time.process_time()
-        self._parameters = self._setup.learner.acting(training.learners)
+        self._look_at(training)
         there = [all(own) for own in zip(*map(self.trials.reached, MILESTONES), strict=True)]
         rows = [row for row in self._changed() if not there[row]]
         self.trials.run(rows, lambda row: self._paid(training, row))
@@ -161,7 +162,20 @@ class Evaluations:
         seeds = [self._setup.seeds[row] for row in rows]
         # A world of its own: one that wraps a simulator is still in its last episode.
         learner, world = self._setup.learner, self._setup.calm()
-        return evaluate(learner.policy, picked, world, seeds, count, observer=learner.observer)
+        return evaluate(
+            learner.policy,
+            picked,
+            world,
+            seeds,
+            count,
+            observer=learner.observer,
+            among=self._among,
+        )
+
+    def _look_at(self, training: Training) -> None:
+        """What ``_fresh`` needs of it: the policies, and the episodes of the run."""
+        self._parameters = self._setup.learner.acting(training.learners)
+        self._among = training.episodes
 
     def _charge(self, training: Training) -> None:
         """Share the CPU seconds of learning since the last call out among those who lived."""

@@ -143,7 +143,8 @@ class NoInverse:
 class Inverse:
     """features: name of those of the inverse model, or a ``_target_``; form, gain, limit: of the
     policy, see ``edtorch.inverse.policy.InversePolicy``; every, recent: see
-    ``edtorch.inverse.learner.InverseLearner``; trust: its ``Trust``."""
+    ``edtorch.inverse.learner.InverseLearner``; trust_acceleration, trust_speed: see its
+    ``SampleWeight``."""
 
     variant: str = "learned"
     features: Any = "structured"

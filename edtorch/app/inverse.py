@@ -18,7 +18,7 @@ from edtorch.inverse.features import FEATURES, InverseFeatures
 from edtorch.inverse.generic import GenericInverse
 from edtorch.inverse.hand import HandCoordinates
 from edtorch.inverse.layout import Layout
-from edtorch.inverse.learner import InverseLearner, Trust
+from edtorch.inverse.learner import InverseLearner, SampleWeight
 from edtorch.inverse.policy import InversePolicy
 from edtorch.inverse.unroll import InverseUnroll, InverseValue
 from edtorch.model.noise import Noise
@@ -149,7 +149,7 @@ def build_inverse_learner(config: Settings, sim: Sim, dtype: torch.dtype) -> Inv
     fit = construct("fit", config.fit, "initial", "update")
     rule = construct("step", config.step, "initial")
     with under("inverse"):
-        trust = Trust(config.inverse.trust_acceleration, config.inverse.trust_speed)
+        weight = SampleWeight(config.inverse.trust_acceleration, config.inverse.trust_speed)
         return InverseLearner(
             policy=controller,
             unroll=value,
@@ -158,7 +158,7 @@ def build_inverse_learner(config: Settings, sim: Sim, dtype: torch.dtype) -> Inv
             every=config.inverse.every,
             recent=config.inverse.recent,
             exploration=config.exploration.deviation,
-            trust=trust,
+            sample_weight=weight,
             noise=noise,
         )
 

@@ -22,6 +22,7 @@ from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.random import Purpose, Streams, stream_key
 from edtorch.run.scaled_sim import World
+from edtorch.run.success import settled
 from edtorch.types import Parameters
 from sims.base import Outcome
 
@@ -144,9 +145,7 @@ class Run:
     def save(self, folder: str | Path) -> Path:
         """Write a complete run folder, for ``edtorch.load``, ``edtorch-eval`` and
         ``edtorch-report``.  Raises ValueError if the folder holds something already."""
-        path = Path(folder)
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise ValueError(f"folder={path}: expected a new or empty folder")
+        path = new_folder(Path(folder))
         self._write(path)
         return path
 
@@ -164,6 +163,18 @@ class Run:
 
     def _of(self, row: int) -> Parameters:
         return {name: p[row : row + 1] for name, p in self._parameters.items()}
+
+
+def new_folder(path: Path) -> Path:
+    """Make it, unless there is an empty one.  Raises ValueError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        if not any(path.iterdir()):
+            return path
+    except OSError as error:
+        why = f"a folder to write to ({error.strerror})"
+        raise ValueError(f"folder={path}: expected {why}") from error
+    raise ValueError(f"folder={path}: expected a new or empty folder")
 
 
 def figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, list[float | None]]:
@@ -191,12 +202,14 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 def read_records(path: Path, seeds: Sequence[int]) -> list[Episode]:
-    """The episodes in an ``episodes.csv``; none where a method keeps none."""
+    """The episodes in an ``episodes.csv``, none without that file; a success that was open when a
+    row was written is settled, but for files without that column."""
     if not path.exists():
         return []
     known = {"seed", "episode", "start_s", "seconds", "outcome", "return", "success"}
     with path.open(newline="", encoding="utf-8") as file:
-        return [
+        reader = csv.DictReader(file)
+        found = [
             Episode(
                 row=list(seeds).index(int(row["seed"])),
                 number=int(row["episode"]),
@@ -207,8 +220,9 @@ def read_records(path: Path, seeds: Sequence[int]) -> list[Episode]:
                 total_reward=_number(row.get("return", "")),
                 success=None if not row.get("success") else bool(int(row["success"])),
             )
-            for row in csv.DictReader(file)
+            for row in reader
         ]
+    return settled(found, found) if "success" in (reader.fieldnames or ()) else found
 
 
 def _number(text: str) -> float:

@@ -21,7 +21,13 @@ from edtorch.app.job import Job, Work
 from edtorch.app.pictures import draw, draw_tasks
 from edtorch.app.rundir import CHECKPOINT, TRANSITIONS, command_line, versions
 from edtorch.app.settings import Settings
-from edtorch.app.summary import broken, never_succeeded, summarise, summary_table
+from edtorch.app.summary import (
+    broken,
+    never_succeeded,
+    snapshots_of,
+    summarise,
+    summary_table,
+)
 from edtorch.compiled.compilation import CannotCompile
 from edtorch.compiled.tiles import Tiles
 from edtorch.errors import CovarianceFloored
@@ -29,7 +35,7 @@ from edtorch.learner.learner import Learner
 from edtorch.report.statistics import evaluation_figures
 from edtorch.run.checkpoint import PolicyCard, save_training
 from edtorch.run.episodes import Episode
-from edtorch.run.log import Entry, Snapshots, spread_scalars
+from edtorch.run.log import Entry, spread_scalars
 from edtorch.run.recorder import Recorder
 from edtorch.run.training import Training
 from edtorch.run.transitions_file import gathered, save_transitions
@@ -64,7 +70,7 @@ class Learners(Work):
         world, zero = training.worlds.world[:1], torch.zeros(1, dtype=torch.float64)
         self.domain = described(setup.world, setup.world.sim.measures(world, world, zero))
         self._evaluations = Evaluations(setup, config, self.domain)
-        self._snapshots = Snapshots(self.domain.words)
+        self._snapshots = snapshots_of(self.domain)
         self.title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
         self.seeds, self.budget = setup.seeds, setup.budget
         budget = setup.budget.in_words(self.domain.words.successes)

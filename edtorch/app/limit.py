@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from edtorch.app.checks import at_least
+from edtorch.app.checks import at_least, check_component, positive
 from edtorch.app.errors import ConfigError, under
 from edtorch.learner.annealing import Annealed
 from edtorch.learner.limit import CommandLimit, Ramp, Safe
@@ -44,10 +44,9 @@ def action_bounds(spec: Spec) -> tuple[tuple[int, float], ...]:
 
 def _ramp(config: Any, world: World) -> Ramp:
     names = [q.name for q in world.spec.state]
-    if config.component not in names:
-        raise ConfigError(
-            f"command.component={config.component}: expected one of {', '.join(names)}"
-        )
+    check_component("command.component", config.component, config.component, names)
+    for key in ("start", "final", "decay"):
+        positive(f"command.{key}", config[key])
     index = names.index(config.component)
     scale = world.spec.state[index].scale
     with under("command"):
@@ -123,6 +122,5 @@ def build_exploration(config: Any, dt: float, unknowns: int) -> float | Annealed
     at_least("exploration.start", config.start, 0)
     if config.decay is None:
         return Annealed(config.start, config.deviation, 2.0 * unknowns)
-    if not config.decay > 0:
-        raise ConfigError(f"exploration.decay={config.decay}: expected a number > 0 (s)")
+    positive("exploration.decay", config.decay)
     return Annealed(config.start, config.deviation, config.decay / dt)

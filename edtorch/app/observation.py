@@ -7,7 +7,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from edtorch.app.checks import at_least
+from edtorch.app.checks import at_least, check_component
 from edtorch.app.errors import ConfigError, under
 from edtorch.learner.delay import Delay
 from edtorch.learner.estimator import AnyFit
@@ -22,8 +22,7 @@ def build_deviations(config: Any, world: World) -> Tensor:
     quantities = {q.name: q for q in world.spec.state}
     for name, deviation in config.noise.items():
         key = f"observation.noise.{name}"
-        if name not in quantities:
-            raise ConfigError(f"{key}={deviation}: expected one of {', '.join(quantities)}")
+        check_component(key, deviation, name, quantities)
         at_least(key, deviation, 0)
     deviations = [config.noise.get(name, 0.0) / q.scale for name, q in quantities.items()]
     return torch.tensor(deviations, dtype=world.dtype, device=world.device)

@@ -23,7 +23,7 @@ from edtorch.app.job import Job, Work
 from edtorch.app.random_search import is_rival
 from edtorch.app.rundir import CHECKPOINT, TRANSITIONS
 from edtorch.app.settings import Settings
-from edtorch.app.summary import broken, not_finite, result_figures, summary_table
+from edtorch.app.summary import broken, not_finite, result_figures, snapshots_of, summary_table
 from edtorch.errors import CovarianceFloored
 from edtorch.learner.learner import Learner
 from edtorch.report.domain import Domain
@@ -32,7 +32,6 @@ from edtorch.report.statistics import Spread, by_row
 from edtorch.run.checkpoint import PolicyCard, write_atomically
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
-from edtorch.run.log import Snapshots
 from edtorch.run.milestones import FirstSuccess, checkpoint
 from edtorch.run.offline import Lessons, Offline, learn
 from edtorch.run.transitions_file import Invalid, Recorded, joined, load_transitions
@@ -207,7 +206,7 @@ class RecordedLearners(Work):
         self._count: int = config.eval.episodes
         setup = job.setup
         self._domain = described(setup.world)
-        self._snapshots = Snapshots(self._domain.words)
+        self._snapshots = snapshots_of(self._domain)
         self._evaluation = Evaluation(0.0, [[] for _ in setup.seeds])
         self._took = (0.0, 0.0)
         self._cpu_s = 0.0

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-from edtorch.renamed import RENAMED_KEYS
+from edtorch.renamed import former_keys
 
 _TYPED: ContextVar[Sequence[str] | None] = ContextVar("typed", default=None)
 
@@ -32,7 +32,7 @@ def given(key: str) -> str | None:
     """The override of ``key`` as it was typed, without its sign; None if there was none."""
     for override in reversed(typed()):
         bare = override.lstrip("+~")
-        if bare.partition("=")[0] in {key, *_former(key)}:
+        if bare.partition("=")[0] in {key, *former_keys(key)}:
             return bare
     return None
 
@@ -41,7 +41,3 @@ def given_name(key: str) -> str:
     """``key``, by the former name that the user typed if that is what was typed."""
     found = given(key)
     return key if found is None else found.partition("=")[0]
-
-
-def _former(key: str) -> list[str]:
-    return [old for old, new in RENAMED_KEYS.items() if new == key]

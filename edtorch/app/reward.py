@@ -13,7 +13,7 @@ import torch
 from hydra.utils import get_object
 from torch import Tensor, nn
 
-from edtorch.app.checks import at_least
+from edtorch.app.checks import at_least, check_component, preset_hint
 from edtorch.app.construct import construct, given_part, is_given, known_keys
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.settings import Settings
@@ -156,9 +156,7 @@ def _number(key: str, value: Any) -> float:
 
 
 def _known(key: str, name: str, value: Any, quantities: Sequence[Quantity]) -> None:
-    names = [q.name for q in quantities]
-    if name not in names:
-        raise ConfigError(f"{key}.{name}={value}: expected one of {', '.join(names)}")
+    check_component(f"{key}.{name}", value, name, [q.name for q in quantities])
 
 
 def _weights(
@@ -175,7 +173,10 @@ def _weights(
 def _distance(weight: float, spec: Spec) -> Tensor:
     """Cost of the squared distance of the tracked components from their goal, scaled units."""
     if weight > 0 and not spec.goal:
-        raise ConfigError(f"reward.goal={weight}: expected a domain with a goal, not {spec.name}")
+        raise ConfigError(
+            f"reward.goal={weight}: expected a domain with a goal, not {spec.name}"
+            + preset_hint("reward.goal")
+        )
     return weight * distance_cost(spec)
 
 
@@ -280,11 +281,11 @@ def _quadratic(
     if config.get("by_scale"):
         of_state = _by_scale(of_state, _named(config, "target"), spec)
     linear, cross = _named(config, "linear"), _cross(config, spec)
+    state = _weights("reward.state", of_state, spec.state)
+    action = _weights("reward.action", _named(config, "action"), spec.action)
     if not (goal > 0 or any(weight > 0 for weight in of_state.values()) or linear or cross):
         names = ", ".join(q.name for q in spec.state)
         raise ConfigError(f"reward.state={of_state}: expected a weight > 0 for one of {names}")
-    state = _weights("reward.state", of_state, spec.state)
-    action = _weights("reward.action", _named(config, "action"), spec.action)
     weighed = {n for n, w in (*state.items(), *action.items()) if w > 0}
     weighed |= {name for first, second, _ in cross for name in (first, second)}
     numbers, others = _targets(config, spec, weighed)

@@ -26,7 +26,9 @@ from edtorch.report.statistics import (
 )
 from edtorch.report.text import number
 from edtorch.run.episodes import Episode
+from edtorch.run.log import Snapshots
 from edtorch.run.milestones import FirstSuccess, first_success
+from edtorch.run.success import settled
 from edtorch.run.training import Training
 from edtorch.types import LearnerState
 
@@ -115,10 +117,11 @@ def not_finite(job: Learned) -> dict[str, Any]:
 def summarise(training: Training, evaluations: Evaluations) -> dict[str, Any]:
     """Of a population, after at least one evaluation in full: that of the end."""
     lived = (training.learners.tick.to(torch.float64) * training.world.dt).tolist()
-    own = by_row(training.episodes, len(training.seeds))
+    last = evaluations.done[-1]
+    everything = [*training.episodes, *(e for each in last.episodes for e in each)]
+    own = by_row(settled(training.episodes, everything), len(training.seeds))
     first = [first_success(each, seconds) for each, seconds in zip(own, lived, strict=True)]
     lost = sum(training.lost_episodes)
-    last = evaluations.done[-1]
     return {
         **result_figures(evaluations.domain, training.seeds, last.episodes, own, first),
         **({"lost_episodes": lost} if lost else {}),
@@ -144,14 +147,20 @@ def summary_table(summary: Mapping[str, Any], domain: Domain, title: str) -> Tab
     return table
 
 
+def snapshots_of(domain: Domain) -> Snapshots:
+    """Entries on the way, with what the domain counts."""
+    survival = domain.survival is not None
+    return Snapshots(domain.words, can_fail=domain.can_fail, can_succeed=survival)
+
+
 def never_succeeded(summary: Mapping[str, Any], domain: Domain, most: int = 20) -> str | None:
-    """The line that names the seeds without a success; None without any."""
+    """The line that names the seeds without a success while learning; None without any."""
     seeds = summary.get("never_succeeded")
     if not seeds:
         return None
     listed = ", ".join(map(str, seeds[:most]))
     more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
-    return f"never {domain.words.succeeded}: seeds {listed}{more}"
+    return f"never {domain.words.succeeded} while learning: seeds {listed}{more}"
 
 
 def medians(summary: dict[str, Any]) -> dict[str, float]:

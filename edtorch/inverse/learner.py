@@ -24,26 +24,26 @@ from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace
 
 
 @dataclass(frozen=True)
-class Trust:
-    """How much a transition counts in the fit of the inverse model.
+class SampleWeight:
+    """The weight of a transition in the fit of the inverse model.
 
-    w = 1 / (1 + (max |ddq| / acceleration)^2 + (max |dq| / speed)^4): what happens while the arm
-    is thrown about is far from where the policy is to work.  In rad/s^2 and rad/s.
+    w = 1 / (1 + (max |ddq| / trust_acceleration)^2 + (max |dq| / trust_speed)^4): violent motion
+    says little about the region in which the policy works.  In rad/s^2 and rad/s.
     """
 
-    acceleration: float = 100.0
-    speed: float = 10.0
+    trust_acceleration: float = 100.0
+    trust_speed: float = 10.0
 
     def __post_init__(self) -> None:
-        for name in ("acceleration", "speed"):
+        for name in ("trust_acceleration", "trust_speed"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}={getattr(self, name)}: expected a number > 0")
 
     def __call__(self, speed: Tensor, acceleration: Tensor) -> Tensor:
         """w ``[*batch, 1]``; both ``[*batch, n]``."""
-        violence = (acceleration.abs().amax(-1, keepdim=True) / self.acceleration).square()
-        haste = (speed.abs().amax(-1, keepdim=True) / self.speed).square().square()
-        return 1 / (1 + violence + haste)
+        accelerated = acceleration.abs().amax(-1, keepdim=True) / self.trust_acceleration
+        fast = speed.abs().amax(-1, keepdim=True) / self.trust_speed
+        return 1 / (1 + accelerated.square() + fast.square().square())
 
 
 def _finite(tensor: Tensor) -> Tensor:
@@ -59,7 +59,7 @@ class InverseLearner:
     ``policy`` the ``weight`` Theta, its ``step`` the step rule's memory, the last ``states`` and
     ``goals`` to unroll from, and value and gradient of the last update.
 
-    fit: of W, to samples weighted by ``trust``; base_fit: of V; noise: rule for nu~ of all
+    fit: of W, to samples weighted by ``sample_weight``; base_fit: of V; noise: rule for nu~ of all
     accelerations, how they turn out less how the unroll foresees them, None where the value does
     not use it; every: ticks between two updates of the policy; recent: states of the last ticks
     that an update unrolls from; exploration: standard deviation of the Gaussian added to the
@@ -73,7 +73,7 @@ class InverseLearner:
     every: int = 5
     recent: int = 10
     exploration: float = 0.0
-    trust: Trust = field(default_factory=Trust)
+    sample_weight: SampleWeight = field(default_factory=SampleWeight)
     base_fit: Fit = field(default_factory=lambda: RecursiveLeastSquares(1000.0, 0.9999))
     noise: Noise | None = None
 
@@ -201,7 +201,7 @@ class InverseLearner:
 
         rate = before.joints[..., half : half + n]
         acceleration = (after.joints[..., half : half + n] - rate) / dt
-        weight = self.trust(rate, acceleration)
+        weight = self.sample_weight(rate, acceleration)
         phi = only_known(self.policy.features(before.joints, acceleration))
         target = only_known(transition.action)
         old = state.model["inverse"]

@@ -74,7 +74,7 @@ class Safe:
     """Within ``ramp``, and no more than what the model says is safe.
 
     model, policy: templates, linear; noise: the rule for nu~, needed where deviations k > 0; dt:
-    seconds a step of the prediction; steps: how many; limits: by index, in scaled units; share: of
+    seconds a step of the prediction; horizon: steps; limits: by index, in scaled units; share: of
     a limit that a command may use up, a function of the age, since a young model's predictions are
     not to be relied on; actions: bounds of the actions, by index, in scaled units, which the
     response is not to exceed: beyond them the loop is not the linear one that was predicted.  The
@@ -86,7 +86,7 @@ class Safe:
     policy: Policy
     noise: Noise | None
     dt: float
-    steps: int
+    horizon: int
     limits: Sequence[tuple[int, float]]
     share: Annealed
     deviations: float = 0.0
@@ -111,8 +111,8 @@ class Safe:
             raise ValueError(f"deviations={self.deviations}: expected a number >= 0")
         if self.deviations > 0 and (self.noise is None or not self.noise.is_constant):
             raise ValueError(f"deviations={self.deviations}: expected a constant rule for nu~")
-        if self.steps < 1:
-            raise ValueError(f"steps={self.steps}: expected at least one")
+        if self.horizon < 1:
+            raise ValueError(f"horizon={self.horizon}: expected at least one step")
         first = (self.model.initial([0]), self.policy.initial([0]))
         loop = linear_loop(self.model, self.policy, *first, self.dt)
         if loop.augmented:
@@ -136,7 +136,7 @@ class Safe:
             nu = nu * self.rest.unsqueeze(-1) * self.rest
         allowed = self.ramp.bound(ticks, self.ramp.dtype)
         share = self.share(ticks, self.ramp.dtype)
-        for _ in range(self.steps):
+        for _ in range(self.horizon):
             for index, bound in self.actions:
                 action = (loop.theta[..., index, :] * mean).sum(-1)
                 allowed = torch.minimum(allowed, bound / action.abs().clamp(min=_NO_RESPONSE))

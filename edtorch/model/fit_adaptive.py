@@ -39,6 +39,8 @@ class AdaptiveLeastSquares:
 
     def __post_init__(self) -> None:
         RecursiveLeastSquares(self.prior)
+        if not self.fast > 0:
+            raise ValueError(f"fast={self.fast}: expected a number > 0")
         if not 0 < self.slow < self.fast:
             raise ValueError(f"slow={self.slow}: expected a number > 0 and < fast, {self.fast}")
         if not self.threshold > 1:

@@ -39,15 +39,27 @@ class ModulePolicy(nn.Module):
             if name in self.names:
                 raise ValueError(f"{self.label} has a parameter called {name!r}: rename it")
         for lead in ((), (3,)):
-            state = torch.zeros(*lead, states, dtype=dtype)
-            with torch.no_grad():
-                action = self.module(state)
+            state = torch.full((*lead, states), 0.1, dtype=dtype)
+            action = self._tried(state)
             found = tuple(action.shape) if isinstance(action, Tensor) else type(action).__name__
             if found != (*lead, actions):
                 raise ValueError(
                     f"{self.label} takes states of shape {tuple(state.shape)} to {found},"
                     f" expected actions of shape {(*lead, actions)}"
                 )
+            if not bool(action.isfinite().all()):
+                raise ValueError(f"{self.label} gives actions that are not finite")
+
+    def _tried(self, state: Tensor) -> Tensor:
+        """Whatever the module gives."""
+        try:
+            with torch.no_grad():
+                return self.module(state)
+        except Exception as error:
+            raise ValueError(
+                f"{self.label} fails for states of shape {tuple(state.shape)}:"
+                f" {type(error).__name__}: {error}"
+            ) from error
 
     @property
     def label(self) -> str:
@@ -75,6 +87,8 @@ def as_policy(
 
     ValueError for what is neither, or lacks ``initial``.
     """
+    if isinstance(part, type):
+        raise ValueError(f"{part.__name__} is a class, expected an object of it")
     if hasattr(part, "action"):
         if not hasattr(part, "initial"):
             raise ValueError(f"{type(part).__name__} has action(...) but no initial(seeds)")

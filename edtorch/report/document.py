@@ -20,6 +20,7 @@ from edtorch.report.groups import shown
 from edtorch.report.proportions import Proportion
 from edtorch.report.quantities import (
     EVALUATION,
+    FAILURES,
     TITLES,
     Quantity,
     evaluation,
@@ -160,15 +161,18 @@ def overview(comparison: Comparison) -> Table:
     paid = [q for q in learning(comparison.section.about.words) if q in comparison.quantities]
     words = comparison.section.about.words
     header = ("group", "seeds", *(q.brief for q in evaluated))
+    fails = any(q.path in FAILURES for q in comparison.quantities)
     if paid:
-        header += (words.succeeded, f"no {words.failure} before", *(q.brief for q in paid))
+        header += (words.succeeded, *([f"no {words.failure} before"] if fails else []))
+        header += tuple(q.brief for q in paid)
     header += ("CPU s per seed",)
     rows: list[tuple[str, ...]] = []
     for row in comparison.rows:
         cells = [row.group.label, str(len(row.group.seeds))]
         cells += [_cell(row, quantity) for quantity in evaluated]
         if paid:
-            cells += [_succeeded(row), _zero_failures(row), *(_cell(row, q) for q in paid)]
+            cells += [_succeeded(row), *([_zero_failures(row)] if fails else [])]
+            cells += [_cell(row, q) for q in paid]
         cpu = row.cpu_s
         cells.append(NONE if cpu is None else number(cpu / _trained(row), 2))
         rows.append(tuple(cells))

@@ -22,13 +22,16 @@ RESERVED = (RETURN, "lost", "success", "seconds", "outcome")
 @dataclass(frozen=True)
 class Domain:
     """survival: as in ``sims.base.Spec``; return_of: whose rewards a return sums up: those of the
-    environment, or where it has none of the configured reward; "" where neither is known."""
+    environment, or where it has none of the configured reward; "" where neither is known; can_fail:
+    whether the domain declares that an episode can fail, without which failures are told only where
+    there are some."""
 
     name: str
     words: Words = DEFAULT_WORDS
     measures: tuple[Measure, ...] = ()
     survival: bool | None = None
     return_of: ReturnOf = ""
+    can_fail: bool = True
 
     @property
     def has_goal(self) -> bool:
@@ -48,7 +51,8 @@ class Domain:
 def domain_of(spec: Spec, return_of: ReturnOf = "", names: Iterable[str] = ()) -> Domain:
     """That of a sim; names: of what it measures, for one that declares no measures."""
     measures = spec.measures or undeclared(names)
-    return Domain(spec.name, spec.words, measures, spec.survival, return_of)
+    can_fail = bool(spec.survival or spec.can_fail)
+    return Domain(spec.name, spec.words, measures, spec.survival, return_of, can_fail)
 
 
 def undeclared(names: Iterable[str]) -> tuple[Measure, ...]:

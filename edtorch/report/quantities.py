@@ -180,6 +180,15 @@ def every(domain: Domain) -> tuple[Quantity, ...]:
     )
 
 
+FAILURES = (
+    ("failure_rate",),
+    ("training", "failure_rate"),
+    ("failures_before_first_success",),
+    ("failures_after_first_success",),
+    *((MILESTONES, name, "failures") for name in TITLES),
+)
+"""Paths of the figures that count failures."""
+
 Column = Callable[[tuple[str, ...]], Sequence[float | None]]
 """From a path to the values of all seeds."""
 
@@ -187,20 +196,20 @@ Column = Callable[[tuple[str, ...]], Sequence[float | None]]
 def told(domain: Domain, quantities: Iterable[Quantity], column: Column) -> list[Quantity]:
     """Those with a value for some seed.
 
-    A share of failures is not told where nothing has failed and success is not defined: such a
-    domain knows no failure.
+    Figures of failures are not told where nothing has failed, unless the domain declares that it
+    can; nor in older summaries, which declare nothing, where success is not defined.
     """
     of_success = (("success_rate",), ("failures_before_first_success",))
     defined = domain.survival is not None or any(
         v is not None for path in of_success for v in column(path)
     )
-    failed = any(any(column((*place, "failure_rate"))) for place in ((), ("training",)))
-    can_fail = defined or failed
+    failed = any(any(column(path)) for path in FAILURES)
+    can_fail = failed or (domain.can_fail and defined)
     return [
         quantity
         for quantity in quantities
         if any(v is not None for v in column(quantity.path))
-        and (can_fail or quantity.path[-1] != "failure_rate")
+        and (can_fail or quantity.path not in FAILURES)
     ]
 
 

@@ -11,7 +11,7 @@ import json
 import os
 import pickle
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import torch
@@ -19,6 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from edtorch.renamed import current_component
 from edtorch.run.tick import Experience
 from edtorch.run.training import Training
 from edtorch.types import LearnerState, Parameters
@@ -128,9 +129,14 @@ def saved_seeds(path: Path) -> list[int]:
 def _card(path: Path) -> PolicyCard:
     try:
         with safe_open(path, framework="pt") as file:
-            return PolicyCard(**json.loads(file.metadata()["edtorch"]))
+            card = PolicyCard(**json.loads(file.metadata()["edtorch"]))
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise FileProblem(f"{path}: not a saved policy ({error})") from error
+    return replace(
+        card,
+        states=[current_component(card.domain, name) for name in card.states],
+        actions=[current_component(card.domain, name) for name in card.actions],
+    )
 
 
 def load_policy(path: Path, expected: PolicyCard, shapes: dict[str, tuple[int, ...]]) -> Parameters:

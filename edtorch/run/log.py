@@ -203,10 +203,17 @@ _METRICS = (
 
 class Snapshots:
     """Entries of a population of learners, in the words of the domain: a row per learner; scalars
-    by simulated seconds, their median over the learners, and extremes where they tell."""
+    by simulated seconds, their median over the learners, and extremes where they tell.
 
-    def __init__(self, words: Words = DEFAULT_WORDS) -> None:
+    can_fail, can_succeed: whether the domain declares it; otherwise the line counts failures and
+    successes from the first one on, and without either the episodes.
+    """
+
+    def __init__(
+        self, words: Words = DEFAULT_WORDS, *, can_fail: bool = True, can_succeed: bool = True
+    ) -> None:
         self._words = words
+        self._declared = can_fail, can_succeed
         named = {"failures": words.failures, "successes": words.successes}
         metrics = [named.get(name, name) for name in _METRICS]
         self.columns = ("seconds", "seed", *metrics, "value_error_estimate")
@@ -260,11 +267,22 @@ class Snapshots:
         speed = (snapshot.seconds - self._last_seconds) / max(now - self._last_time, 1e-9)
         self._last_seconds, self._last_time = snapshot.seconds, now
         return (
-            f"{snapshot.seconds:6.0f} s  {self._words.failures} {_spread(snapshot.failures)}  "
-            f"{self._words.successes} {_spread(snapshot.successes)}  "
+            f"{snapshot.seconds:6.0f} s  {self._counts(snapshot)}  "
             f"value {median(snapshot.value):.3g}  "
             f"{sum(snapshot.active)}/{len(snapshot.seeds)} learning  {speed:.0f} s per s"
         )
+
+    def _counts(self, snapshot: Snapshot) -> str:
+        counted = (
+            (self._words.failures, snapshot.failures),
+            (self._words.successes, snapshot.successes),
+        )
+        told = [
+            f"{name} {_spread(counts)}"
+            for (name, counts), declared in zip(counted, self._declared, strict=True)
+            if declared or any(counts)
+        ]
+        return "  ".join(told) or f"episodes {_spread(snapshot.episodes)}"
 
 
 def _spread(counts: Sequence[int]) -> str:

@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from edtorch.renamed import current_component
 from edtorch.run.checkpoint import FileProblem, write_atomically
 from edtorch.run.recorder import Lived, ended
 from sims.base import Quantity, Spec
@@ -248,6 +249,8 @@ def _columns(
         isinstance(q, dict) and isinstance(q.get("name"), str) for q in listed
     ):
         raise FileProblem(f"{path}: meta.{kind}: expected a list of objects with a name each")
+    for about in listed:
+        about["name"] = current_component(str(meta.get("domain")), about["name"])
     names, known = [q["name"] for q in listed], [q.name for q in quantities]
     for name in names:
         if name not in known:

@@ -194,6 +194,7 @@ class Cardea:
             measures=MEASURES,
             words=WORDS,
             survival=False,
+            can_fail=True,
         )
 
     def initial(self, uniforms: Tensor) -> Tensor:

@@ -66,7 +66,7 @@ BESIDE = {
     ("inverse", "learned"): CARDEA,
     ("inverse", "kinematic"): CARDEA,
     ("reward", "goal"): ["domain=cardea"],
-    ("domain", "linear"): ["reward=quadratic", "+reward.state.s0=1"],
+    ("domain", "linear"): ["reward=quadratic", "+reward.state.state_0=1"],
     ("domain", "gymnasium"): [
         "domain.env_id=Pendulum-v1",
         "reward=quadratic",

@@ -93,12 +93,12 @@ def test_own_parts_train(
 @pytest.mark.parametrize(
     ("given", "line"),
     [
-        (("+reward.target.s9=1",), "reward.target.s9=1: expected one of s0, s1, a0"),
-        (("+reward.target.s1=1",), "reward.target.s1=1: has no effect without reward.state.s1 > 0"),
+        (("+reward.target.s9=1",), "reward.target.s9=1: expected one of state_0,"),
+        (("+reward.target.s1=1",), "reward.target.s1=1: has no effect without reward.state"),
         (("+reward.target.s0=q",), "reward.target.s0=q: expected a number, or another component"),
         (
             ("reward.cross=[[s0,s1]]",),
-            "reward.cross[0]=['s0', 's1']: expected [NAME, NAME, WEIGHT]",
+            "reward.cross[0]=['state_0', 'state_1']: expected [NAME, NAME, WEIGHT]",
         ),
         (("reward.cross=[[s0,s1,9]]",), "reward: state_cost has eigenvalue"),
         (

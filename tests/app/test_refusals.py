@@ -76,9 +76,17 @@ REFUSED = [
     (["command=ramp", "command.component=x"], r"command\.component=x: expected one of lean, "),
     (["command=ramp", "command.start=0"], r"command\.start=0\.0: expected a number > 0"),
     (["command=safe", "command.share=1.5"], r"command\.share=1\.5: expected a number in \(0, 1\]"),
+    (["command=safe", "command.horizon=0"], r"command\.horizon=0: expected at least one step"),
+    (["command=ramp", "command.final=-2"], r"command\.final=-2\.0: expected a number > 0"),
+    (["+eval.domain.time_limit=-1"], r"eval\.domain\.time_limit=-1: expected"),
+    (
+        ["experiment=bicycle", "domain=linear"],
+        r"angle_to_goal=2\.0: expected one of state_0; experiment=bicycle sets it for another"
+        r" domain, experiment=regulation takes any",
+    ),
     (["command=safe", "command.decay=0"], r"command\.decay=0\.0: expected a number > 0"),
     (
-        ["experiment=figure1", "command=safe", "command.component=s0"],
+        ["experiment=figure1", "command=safe", "command.component=state_0"],
         r"command=safe: expected a domain whose state has limits; linear has none",
     ),
     (
@@ -110,7 +118,7 @@ REFUSED = [
         r"unroll\.start_deviation=-1\.0: expected a finite number >= 0",
     ),
     (["train.seconds=null", "train.successes=null"], r"train\.seconds=null.*expected a number for"),
-    (["train.seconds=0"], r"train\.seconds=0\.0: expected a finite number > 0"),
+    (["train.seconds=0"], r"train\.seconds=0\.0: expected a number > 0"),
     (["train.episodes=0"], r"train\.episodes=0: expected an integer >= 1"),
     (["train.successes=-3"], r"train\.successes=-3: expected an integer >= 1"),
     (["seeds=0"], r"seeds=0: expected an integer >= 1"),
@@ -267,7 +275,7 @@ def shelf(
     policy = (finished / "policy.safetensors").read_bytes()
     (shelf / "cut" / "policy.safetensors").write_bytes(policy[:50])
     (shelf / "zeros" / "policy.safetensors").write_bytes(bytes(200))
-    linear = ("domain=linear", "reward=quadratic", "+reward.state.s0=1")
+    linear = ("domain=linear", "reward=quadratic", "+reward.state.state_0=1")
     quick_runs("seed=3", *linear, f"hydra.run.dir={shelf / 'linear'}")
     quick_runs("seed=3", "seeds=1", f"hydra.run.dir={shelf / 'one'}")
     return shelf

@@ -11,6 +11,7 @@ import pytest
 from edtorch.app import schema
 from edtorch.app.compose import compose
 from edtorch.app.errors import ConfigError
+from edtorch.app.overrides import given_name, typing
 from edtorch.app.schema import checked_fields
 from edtorch.renamed import RENAMED_KEYS, current_keys
 
@@ -116,6 +117,17 @@ def test_former_names_in_a_saved_configuration() -> None:
         "train": {"seconds": 3.0, "successes": 1},
     }
     assert "exploration" in saved["noise"]
+
+
+def test_former_names_of_components() -> None:
+    linear = ["domain=linear", "reward=quadratic", "command=ramp"]
+    old = compose([*linear, "+reward.state.s0=2", "+reward.action.a0=3", "command.component=s0"])
+    new = ["+reward.state.state_0=2", "+reward.action.action_0=3", "command.component=state_0"]
+    assert old == compose([*linear, *new])
+    bicycle = compose(["+reward.state.s0=2"])
+    assert bicycle.reward.state.s0 == 2.0  # refused later, by the name that was typed
+    with typing(["+reward.state.s7=1"]):
+        assert given_name("reward.state.state_7") == "reward.state.s7"
 
 
 def test_both_names_of_a_setting_are_refused() -> None:

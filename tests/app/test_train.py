@@ -46,7 +46,7 @@ FILES = {
     "status.json",
     "summary.json",
 }
-LINEAR = ("domain=linear", "reward=quadratic", "+reward.state.s0=1", "domain.dt=0.1")
+LINEAR = ("domain=linear", "reward=quadratic", "+reward.state.state_0=1", "domain.dt=0.1")
 
 
 def _json(path: Path) -> Any:

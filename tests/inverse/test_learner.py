@@ -11,7 +11,7 @@ from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import JointCoordinates
 from edtorch.inverse.features import FEATURES
 from edtorch.inverse.layout import Layout
-from edtorch.inverse.learner import InverseLearner, Trust
+from edtorch.inverse.learner import InverseLearner, SampleWeight
 from edtorch.inverse.policy import InversePolicy
 from edtorch.inverse.unroll import InverseUnroll
 from edtorch.model.fit import AbsoluteError
@@ -114,11 +114,11 @@ def test_a_fit_that_diverges_is_skipped_and_told() -> None:
     assert bool(training.learners.model["inverse"].isfinite().all())
 
 
-def test_trust_fades_with_violence() -> None:
-    trust = Trust(100.0, 10.0)
+def test_the_weight_of_a_sample_falls_with_acceleration_and_speed() -> None:
+    weight = SampleWeight(100.0, 10.0)
     speed = torch.tensor([[0.0, 0.0], [10.0, -1.0], [0.0, 0.0]])
     acceleration = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, -100.0]])
-    assert trust(speed, acceleration).squeeze(-1).tolist() == [1.0, 0.5, 0.5]
+    assert weight(speed, acceleration).squeeze(-1).tolist() == [1.0, 0.5, 0.5]
 
 
 def test_refuses_domains_without_a_goal() -> None:

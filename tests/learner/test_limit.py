@@ -121,7 +121,7 @@ def test_knows_no_limit_where_a_command_does_nothing_and_none_where_all_explodes
         ({"deviations": -1.0}, "deviations=-1.0: expected a number >= 0"),
         ({"deviations": 1.0, "noise": None}, "deviations=1.0: expected a constant rule"),
         ({"deviations": 1.0, "noise": LinearNoise(1.0)}, "expected a constant rule"),
-        ({"steps": 0}, "steps=0: expected at least one"),
+        ({"horizon": 0}, "horizon=0: expected at least one step"),
         ({"policy": LinearPolicy(N, M, Affine(N))}, "features: expected a linear model"),
     ],
     ids=str,

@@ -104,14 +104,14 @@ def test_with_the_exact_model_a_policy_does_not_feel_the_delay(delay: int) -> No
 
 
 def test_the_filter_finds_the_model_behind_readings_that_err_and_are_late() -> None:
-    world = World(Sensed(system(0.01), {"s0": 0.05, "s1": 0.05}, delay=1))
+    world = World(Sensed(system(0.01), {"state_0": 0.05, "state_1": 0.05}, delay=1))
     found = trained(world, learner_in(world, 1, filtered=True), seconds=100.0).learners
     assert float((found.model["weight"] - EXACT).abs().max()) < 0.03
     assert bool((found.sound_ticks == found.tick).all())
 
 
 def test_interrupted_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
-    world = World(Sensed(system(0.01), {"s0": 0.05, "s1": 0.05}, delay=2))
+    world = World(Sensed(system(0.01), {"state_0": 0.05, "state_1": 0.05}, delay=2))
 
     def fresh() -> Training:
         learner = learner_in(world, 2, filtered=True)
@@ -129,7 +129,7 @@ def test_interrupted_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_a_learner_of_a_population_is_the_learner_alone() -> None:
-    world = World(Sensed(system(0.01), {"s0": 0.05, "s1": 0.05}, delay=1))
+    world = World(Sensed(system(0.01), {"state_0": 0.05, "state_1": 0.05}, delay=1))
     learner = learner_in(world, 1, filtered=True)
     both = trained(world, learner, seconds=5.0).learners
     alone = Training(learner, world, [5], Budget(seconds=5.0))

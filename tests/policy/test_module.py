@@ -99,6 +99,9 @@ def test_constants_are_not_learned() -> None:
     [
         (3, r"int has no action\(parameters, state\), and is not a torch.nn.Module"),
         (nn.Linear(2, 3), r"takes states of shape \(2,\) to \(3,\), expected .* \(1,\)"),
+        (nn.Linear(3, 1), r"Linear fails for states of shape \(2,\): RuntimeError: mat1 and mat2"),
+        (nn.Sequential(nn.Linear(2, 1), nn.Threshold(9, float("nan"))), "that are not finite"),
+        (nn.Module, "Module is a class, expected an object of it"),
         (nn.Tanh(), "Tanh has no parameter that requires a gradient"),
     ],
 )

@@ -132,6 +132,24 @@ def test_console_elsewhere_is_whole_plain_lines() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("failures", "successes", "told"),
+    [
+        ([0, 0], [0, 0], r"episodes 2 \[1, 3\]"),
+        ([2, 1], [0, 0], r"failures 1\.5 \[1, 2\]"),
+        ([0, 0], [1, 0], r"successes 0\.5 \[0, 1\]"),
+    ],
+)
+def test_console_counts_what_the_domain_does_not_declare_once_there_is_some(
+    failures: list[int], successes: list[int], told: str
+) -> None:
+    console = _console()
+    sink = ConsoleSink(console, can_fail=False, can_succeed=False)
+    sink.write(replace(_snapshot(), failures=failures, successes=successes), [])
+    sink.close()
+    assert re.match(rf" +5 s  {told}  value", _written(console))
+
+
 def test_console_elsewhere_is_quiet_in_between() -> None:
     console = _console()
     made = Snapshots()

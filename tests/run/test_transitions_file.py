@@ -127,18 +127,18 @@ ROWS = [
     (
         _set("state", (3, 1), np.nan),
         3,
-        r"state s1 is nan, expected a finite number",
+        r"state state_1 is nan, expected a finite number",
         [3],
     ),
-    (_set("action", (5, 0), np.inf), 5, r"action a0 is inf", [5]),
-    (_set("next_state", (39, 0), -np.inf), 39, r"next_state s0 is -inf", [39]),
+    (_set("action", (5, 0), np.inf), 5, r"action action_0 is inf", [5]),
+    (_set("next_state", (39, 0), -np.inf), 39, r"next_state state_0 is -inf", [39]),
     (_set("dt", 4, 0.0), 4, r"dt is 0\.0, expected a finite number > 0", [4]),
     (_set("dt", slice(4, 6), -1.0), 4, r"dt is -1\.0.*\(1 more rows are wrong", [4, 5]),
     (_set("dt", 2, np.nan), 2, r"dt is nan", [2]),
     (
         _set("next_state", (2, 0), 77.0),
         2,
-        r"next_state s0 is 77, but the next row of the episode begins with",
+        r"next_state state_0 is 77, but the next row of the episode begins with",
         [2, 3],
     ),
     (_set("truncated", 15, False), 15, r"episode 1 has no end at its last row", []),
@@ -228,16 +228,32 @@ FILES = [
     (_meta(format=2), r"meta\.format=2: expected 1"),
     (_meta(domain="bicycle"), r"meta\.domain=bicycle: expected linear"),
     (_meta(units="furlongs"), r"meta\.units=furlongs: expected physical or scaled"),
-    (_meta(state=[{"name": "s0"}, {"name": "x"}]), r"'x' is none of the domain's s0, s1"),
-    (_meta(state=[{"name": "s0"}]), r"\['s0'\], expected each of \['s0', 's1'\] once"),
-    (_meta(action=["a0"]), r"meta\.action: expected a list of objects with a name each"),
-    (_meta(action=[{"name": "a0", "unit": "N"}]), r"a0 has unit N, expected 1"),
     (
-        _meta(state=[{"name": "s0", "period": 6.28}, {"name": "s1"}]),
-        r"s0 has period 6\.28, expected 0",
+        _meta(state=[{"name": "state_0"}, {"name": "x"}]),
+        r"'x' is none of the domain's state_0, state_1",
+    ),
+    (
+        _meta(state=[{"name": "state_0"}]),
+        r"\['state_0'\], expected each of \['state_0', 'state_1'\] once",
+    ),
+    (_meta(action=["action_0"]), r"meta\.action: expected a list of objects with a name each"),
+    (_meta(action=[{"name": "action_0", "unit": "N"}]), r"action_0 has unit N, expected 1"),
+    (
+        _meta(state=[{"name": "state_0", "period": 6.28}, {"name": "state_1"}]),
+        r"state_0 has period 6\.28, expected 0",
     ),
     (_meta(seeds=[{"seed": 1}]), r"meta\.seeds\[0\]=.*: expected"),
 ]
+
+
+def test_components_by_their_former_names(tmp_path: Path) -> None:
+    path = tmp_path / "former.npz"
+    arrays = contents(path)
+    present = load_transitions(path, WORLD.spec)
+    _meta(state=[{"name": "s0"}, {"name": "s1"}], action=[{"name": "a0"}])(arrays)
+    np.savez(path, **arrays)
+    former = load_transitions(path, WORLD.spec)
+    assert former.recorded.state.tolist() == present.recorded.state.tolist()
 
 
 @pytest.mark.parametrize(("spoil", "wanted"), FILES)

@@ -44,7 +44,7 @@ SIMS: dict[str, Callable[[], Sim]] = {
     "slalom, all at once": lambda: Slalom(**ALL_AT_ONCE),
     "bicycle, sensed": lambda: Sensed(Bicycle(), {"lean": 0.1, "angle_to_goal": 0.1}, 1),
     "slalom, all at once, sensed": lambda: Sensed(Slalom(**ALL_AT_ONCE), {"lean_rate": 0.1}, 3),
-    "linear, sensed": lambda: Sensed(LinearSystem([[1.0]], [[1.0]]), {"s0": 0.1}, 2),
+    "linear, sensed": lambda: Sensed(LinearSystem([[1.0]], [[1.0]]), {"state_0": 0.1}, 2),
     "linear": lambda: LinearSystem([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.5]]),
     "cart-pole": lambda: CartPole(push=2.0),
     "quadrotor": Quadrotor,
