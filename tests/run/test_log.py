@@ -143,11 +143,9 @@ def test_console_elsewhere_is_whole_plain_lines() -> None:
 def test_console_counts_what_the_domain_does_not_declare_once_there_is_some(
     failures: list[int], successes: list[int], told: str
 ) -> None:
-    console = _console()
-    sink = ConsoleSink(console, can_fail=False, can_succeed=False)
-    sink.write(replace(_snapshot(), failures=failures, successes=successes), [])
-    sink.close()
-    assert re.match(rf" +5 s  {told}  value", _written(console))
+    made = Snapshots(can_fail=False, can_succeed=False)
+    line = made.entry(replace(_snapshot(), failures=failures, successes=successes), []).line
+    assert re.match(rf" +5 s  {told}  value", line)
 
 
 def test_console_elsewhere_is_quiet_in_between() -> None:
