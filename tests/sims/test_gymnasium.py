@@ -60,7 +60,7 @@ def test_same_seed_same_digits() -> None:
 
 
 def test_reward_and_end_of_a_fall() -> None:
-    env = BicycleEnv(failure_penalty=7.0)
+    env = BicycleEnv(fall_penalty=7.0)
     env.reset(seed=1)
     zero = np.zeros(2)
     ended, info = False, {}
@@ -115,8 +115,8 @@ def test_render() -> None:
 
 
 def test_refuses_the_impossible() -> None:
-    with pytest.raises(ValueError, match="failure_penalty=-1"):
-        BicycleEnv(failure_penalty=-1.0)
+    with pytest.raises(ValueError, match="fall_penalty=-1"):
+        BicycleEnv(fall_penalty=-1.0)
     with pytest.raises(ValueError, match="goal_radius=0"):
         gymnasium.make("edtorch/Bicycle-v0", goal_radius=0)
     with pytest.raises(TypeError, match="wheels"):
