@@ -43,7 +43,13 @@ from sims.base import Sim
 
 logger = logging.getLogger("edtorch")
 
-GRADIENT = ("unroll.direction=gradient", "step=decaying")
+GRADIENT = (
+    "unroll.direction=gradient",
+    "step=decaying",
+    "step.alpha=10",
+    "step.beta=0.01",
+    "step.decay=5",
+)
 """What the preset ``regulation`` does otherwise with a reward or a policy of one's own."""
 
 Env = str | gymnasium.Env[Any, Any] | Callable[[], gymnasium.Env[Any, Any]] | Sim
@@ -87,17 +93,19 @@ def learn(
       but for rates, which are damped with ``0.01 / scale**2``.  Without a target all components are
       wanted at zero.  ``weights``: of squared deviations by component, and of squared actions.
     - ``reward``: instead of both, a function or module of torch tensors in physical units: states
-      ``[*batch, n]`` and actions ``[*batch, m]`` to ``[*batch]``.
+      ``[*batch, n]`` and actions ``[*batch, m]`` to ``[*batch]``.  A difference of angles is for
+      it to wrap, or for ``angles`` to have wrap elsewhere.
     - ``policy``: a module from scaled states to scaled actions instead of a linear policy.  With
-      it, or with a reward, the preset ``regulation`` climbs the value's gradient: Riccati's
-      direction is for linear policies and quadratic rewards.
+      it, or with a reward, the preset ``regulation`` climbs the value's gradient by steps that
+      decay: Riccati's direction is for linear policies and quadratic rewards.
     - ``seconds``, ``episodes``: the budget of each learner, simulated; the preset's if neither is
       given.
     - ``dt``: seconds per step, where the environment does not state them; ``time_limit``: of an
       episode, s; ``names``, ``action_names``: of the components; ``scale``: typical sizes by name.
     - ``angles``: names of components in radians, or by name ``"deg"`` or the names of a pair
-      (cosine, sine), which becomes one angle; ``rates``: by name of a rate the component that it is
-      the rate of.
+      (cosine, sine), which becomes one angle.  It lies within half a turn of its target, else of 0,
+      or of ``around`` in ``{"name": {"unit": "rad", "around": 3.14}}``.
+    - ``rates``: by name of a rate the component that it is the rate of.
     - ``termination``: what it means that the environment terminates an episode, where neither its
       ``info["is_success"]`` nor its registered threshold tells: by default a failure.
     - ``progress``: whether to print on the way; ``save``: a folder for ``Run.save``.

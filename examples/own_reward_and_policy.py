@@ -1,6 +1,8 @@
 """A reward of one's own, a saturating one, and a small neural network for a policy.
 
 python examples/own_reward_and_policy.py
+
+After 10 s of experience, with a fall or two, the network holds the pole in all fresh episodes.
 """
 
 import runpy
@@ -33,17 +35,11 @@ class MLP(nn.Module):
         return self.layers(state)
 
 
-FASTER = (
-    "transform=mean_only",
-    "unroll.start=state",
-    "unroll.start_deviation=0",
-    "unroll.horizon=20",
-    "schedule.often=0",
-)
-"""A module is differentiated step by step, which takes its time: without covariance, less often."""
+FASTER = ("unroll.horizon=20", "schedule.often=0", "schedule.every=4")
+"""A module is differentiated step by step, which takes its time: an update at every fourth tick."""
 
 
-def main(seconds: float = 10.0, seeds: int = 2) -> dict[str, list[float | None]]:
+def main(seconds: float = 10.0, seeds: int = 4) -> dict[str, list[float | None]]:
     """Learn; returns the figures of fresh episodes."""
     run = edtorch.learn(
         Pole(),

@@ -76,7 +76,7 @@ def angle_view(
         if pair is None:
             place = _place(names, name, name)
             plain[place] = Component((place,), PERIODS[unit], around)
-            seen[place] = replace(seen[place], unit=unit, period=PERIODS[unit])
+            seen[place] = replace(seen[place], unit=unit, period=PERIODS[unit], middle=around)
             continue
         places = tuple(_place(names, name, each) for each in pair)
         if len(set(places)) < 2 or not all(p in plain and not plain[p].period for p in places):
@@ -86,7 +86,7 @@ def angle_view(
         for place in places:
             del plain[place], seen[place]
         plain[min(places)] = Component(places, PERIODS["rad"], around)
-        seen[min(places)] = Quantity(name, "rad", period=PERIODS["rad"])
+        seen[min(places)] = Quantity(name, "rad", period=PERIODS["rad"], middle=around)
     order = sorted(plain)
     return AngleView(tuple(plain[k] for k in order)), tuple(seen[k] for k in order)
 

@@ -41,7 +41,8 @@ class Quantity:
 
     ``scale`` divides it on its way to a learner, which sees numbers of order one; ``period`` is
     that of an angle that wraps (2 pi), 0 for anything else; ``low`` and ``high`` bound it (an
-    action is clipped to them where ``Spec.clip_action`` says so); an episode fails where a
+    action is clipped to them where ``Spec.clip_action`` says so); ``middle``: of the range of an
+    angle, which wraps half a period from it; an episode fails where a
     component of the state is farther than ``limit`` from zero.  All in ``unit``.  ``rate_of``
     names the component whose time derivative this one is, if one is.
     """
@@ -54,6 +55,7 @@ class Quantity:
     period: float = 0.0
     rate_of: str = ""
     limit: float = float("inf")
+    middle: float = 0.0
 
 
 @dataclass(frozen=True)

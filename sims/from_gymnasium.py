@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 from gymnasium import spaces
 from torch import Tensor
 
+from sims.angle_hint import AngleHint
 from sims.angle_view import Angles, AngleView, angle_view, with_rates
 from sims.base import Outcome, Quantity, SimulatorFailed, Spec
 from sims.gymnasium_source import (
@@ -72,7 +74,8 @@ class GymnasiumSim:
     whether actions are held within the box; ``termination``: what the environment's termination
     means, "failure" (then lasting to the time limit is a success) or "success" (then it is none);
     by default it is a failure where the environment does not say or pay otherwise.  ``notes``: what
-    a user should know of these defaults, one line each.
+    a user should know of these defaults, and of pairs that look like cosine and sine where no
+    ``angles`` are given, one line each.
     """
 
     def __init__(
@@ -120,6 +123,7 @@ class GymnasiumSim:
             )
             threshold = None
         state = _named("state", observation, state_names)
+        self._hint = None if angles else AngleHint([q.name for q in state])
         self._view: AngleView | None = None
         if angles:
             self._view, state = angle_view(state, angles)
@@ -226,6 +230,7 @@ class GymnasiumSim:
                 self._lose(row, error)
                 continue
             self._has_stepped = True
+            self._look_for_angles(row)
             row[_TERMINATED], row[_TRUNCATED] = float(terminated), float(truncated)
             if success is not None:
                 row[_SUCCESS] = float(bool(success))
@@ -290,6 +295,11 @@ class GymnasiumSim:
         if not bool(read.isfinite().all()):
             raise ValueError("an observation that is not finite")
         return read
+
+    def _look_for_angles(self, row: Tensor) -> None:
+        line = None if self._hint is None else self._hint.add(row[:_TERMINATED].numpy())
+        if line is not None:
+            self.notes.append(f"{self._source.name}: {line}")
 
     def _lose(self, row: Tensor, error: Exception) -> None:
         row[_LOST] = 1.0
@@ -377,7 +387,5 @@ def _scaled(
                 " size of this action"
             )
         scale = given.get(q.name, size if math.isfinite(size) and size > 0 else 1.0)
-        scaled.append(
-            Quantity(q.name, q.unit, float(scale), q.low, q.high, q.period, q.rate_of, q.limit)
-        )
+        scaled.append(replace(q, scale=float(scale)))
     return tuple(scaled)

@@ -19,6 +19,7 @@ from edtorch.app.errors import ConfigError
 from edtorch.app.evaluations import Evaluations, News
 from edtorch.app.job import Job, Work
 from edtorch.app.pictures import draw, draw_tasks
+from edtorch.app.reward import near_seams
 from edtorch.app.rundir import CHECKPOINT, TRANSITIONS, command_line, versions
 from edtorch.app.settings import Settings
 from edtorch.app.summary import (
@@ -54,7 +55,8 @@ class Learners(Work):
         self._setup = setup
         self._config = config
         self._recorder: Recorder | None = None
-        notes = [*getattr(setup.world.sim, "notes", ())]
+        self._noted = 0
+        notes = [*self._fresh_notes(), *near_seams(config.reward, setup.world.spec)]
         if config.log.transitions:
             self._recorder = Recorder(setup.world, len(setup.seeds))
             notes.insert(0, "every transition is kept, and the tick is not compiled for it")
@@ -131,6 +133,8 @@ class Learners(Work):
             if setup.indicator is not None:
                 estimate = setup.indicator(training.learners, training.worlds.observation)
                 snapshot = dataclasses.replace(snapshot, value_error=estimate.tolist())
+            for note in self._fresh_notes():
+                logger.info("%s", note)
             _warn_of_trouble(training, warned)
             _warn_of_floors(training, floored)
             job.take(self._snapshots.entry(snapshot, training.episodes[reported:]))
@@ -138,6 +142,12 @@ class Learners(Work):
             news = self._evaluations.run_if_due(training)
             if news is not None:
                 job.take(_entry(news))
+
+    def _fresh_notes(self) -> list[str]:
+        """What the sim has to say that it had not said before."""
+        notes = list(getattr(self._setup.world.sim, "notes", ()))
+        before, self._noted = self._noted, len(notes)
+        return notes[before:]
 
     def evaluate(self, job: Job) -> None:
         """Fresh episodes of each policy."""

@@ -67,7 +67,21 @@ def build_fit(config: Settings, world: World, model: Model) -> AnyFit:
             f"fit._target_={config.fit._target_}: expected fit=gradient with"
             f" model._target_={config.model._target_}, which is not linear in features"
         )
+    if getattr(fit, "reads_state", False):
+        _check_leading(config, model, len(world.spec.state), len(world.spec.action))
     return fit
+
+
+def _check_leading(config: Settings, model: Model, n: int, m: int) -> None:
+    """Refuse features that do not begin with 1 and the state, for a fit that finds it there."""
+    state, action = (torch.linspace(0.1, 0.7, size, dtype=model.period.dtype) for size in (n, m))
+    phi = model.phi(state, action)
+    if not torch.equal(phi[: n + 1], torch.cat([torch.ones_like(phi[:1]), state])):
+        given = config.model.get("features", "identity")
+        raise ConfigError(
+            f"model.features={given}: expected features that begin with 1 and the state, affine or"
+            f" pairwise, with fit._target_={config.fit._target_}"
+        )
 
 
 def build_noise(config: Any, fit: AnyFit, model: Model, stretch: float) -> Noise:

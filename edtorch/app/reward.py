@@ -208,12 +208,29 @@ def _check_target(name: str, value: Any, quantity: Quantity) -> float:
     number = _number(key, value)
     low, high = max(quantity.low, -quantity.limit), min(quantity.high, quantity.limit)
     if quantity.period:
-        low, high = max(low, -quantity.period / 2), min(high, quantity.period / 2)
+        half, middle = quantity.period / 2, quantity.middle
+        low, high = max(low, middle - half), min(high, middle + half)
     if not low <= number <= high:
         raise ConfigError(
             f"{key}={value}: expected a number from {low:g} to {high:g} {quantity.unit}".rstrip()
         )
     return number
+
+
+def near_seams(config: Settings, spec: Spec) -> list[str]:
+    """A line for each angle with a target nearer to where it wraps than to the middle of its
+    range: the difference from the target jumps there."""
+    lines = []
+    for q in spec.state:
+        target = _named(config, "target").get(q.name) if q.period and is_named(config) else None
+        if isinstance(target, int | float) and abs(target - q.middle) > q.period / 4:
+            seam = q.middle + math.copysign(q.period / 2, target - q.middle)
+            lines.append(
+                f"reward.target.{q.name}={target}: near {seam:g} {q.unit}, where the angle wraps"
+                " and the difference from the target jumps; an angle with"
+                f" domain.angles.{q.name}={{..., around: {target:g}}} wraps elsewhere"
+            )
+    return lines
 
 
 def _targets(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -38,8 +39,8 @@ class LocalLeastSquares:
     target of the components that have one, else their weighted mean.  The ridge is relative to the
     size of each feature, so that scales and units do not matter.
 
-    states n; target: wanted values by index of the component, scaled units; bandwidths h: in
-    spreads.  Raises ValueError for settings out of range and for features other than (1, s, a).
+    phi may have more features after 1 and s.  states n; target: wanted values by index of the
+    component, scaled units; bandwidths h: in spreads.  Raises ValueError for settings out of range.
     """
 
     states: int
@@ -47,6 +48,9 @@ class LocalLeastSquares:
     bandwidths: Sequence[float] = (0.1, 0.3, 1.0, 1000.0)
     power: float = 2.0
     ridge: float = 1e-6
+
+    reads_state: ClassVar[bool] = True
+    """The features must begin with 1 and the state."""
 
     def __post_init__(self) -> None:
         if not self.bandwidths or not all(h > 0 for h in self.bandwidths):
@@ -68,10 +72,6 @@ class LocalLeastSquares:
         ``[*batch, n]``: sum and maximum of e^2; ``count`` ``[*batch]``; ``total`` ``[*batch]`` and
         ``sum`` ``[*batch, n]`` of w and w s for the narrowest bandwidth."""
         batch, (n, k) = weight.shape[:-2], weight.shape[-2:]
-        if k <= 1 + n:
-            raise ValueError(
-                "fit: expected affine features of state and action; model.features=affine"
-            )
         zeros, J = weight.new_zeros, len(self.bandwidths)
         return {
             "A": zeros(*batch, J, k, k),

@@ -109,6 +109,11 @@ def test_own_parts_train(
         (("policy={_target_: own_parts.MLP, hiden: 3}",), "did you mean policy.hidden?"),
         (("policy={_target_: own_parts.Net}",), "policy._target_=own_parts.Net: "),
         (("model={_target_: own_parts.Net}",), "expected fit=gradient with model._target_="),
+        (("fit=local",), "model.features=identity: expected features that begin with 1 and"),
+        (
+            ("fit=local", "domain.action_matrix=[[0.0,0.1],[0.05,0.0]]"),
+            "model.features=identity: expected features that begin with 1 and",
+        ),
     ],
 )
 def test_refusals(command: Callable[..., Any], given: tuple[str, ...], line: str) -> None:

@@ -130,8 +130,3 @@ def test_learners_do_not_mix() -> None:
 def test_refusals(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         LocalLeastSquares(**({"states": 2, "target": {}} | settings))
-
-
-def test_features_without_a_constant_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"affine features .* model\.features=affine"):
-        LocalLeastSquares(2, {}).initial(torch.zeros(1, 2, 3))

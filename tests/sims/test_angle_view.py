@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sims.angle_hint import AngleHint
 from sims.angle_view import angle_view, with_rates, wrapped
 from sims.base import Quantity
 
@@ -69,6 +71,22 @@ def test_refusals(angles: Any, message: str) -> None:
     with pytest.raises(ValueError) as refusal:
         angle_view(QUANTITIES, angles)
     assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("moving", "told"),
+    [
+        (lambda t: [t, math.cos(t), math.sin(t)], "(b, c) look like cosine and sine of an angle"),
+        (lambda t: [math.cos(t), t, math.sin(2 * t)], None),
+        (lambda t: [t, 1.0, 0.0], None),
+    ],
+)
+def test_a_pair_on_the_unit_circle_is_noticed_once(moving: Any, told: str | None) -> None:
+    hint = AngleHint(["a", "b", "c"])
+    lines = [hint.add(np.array(moving(0.01 * k))) for k in range(500)]
+    said = [line for line in lines if line]
+    assert len(said) == (told is not None)
+    assert told is None or said[0].startswith(told)
 
 
 def test_rates() -> None:
