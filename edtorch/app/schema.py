@@ -26,7 +26,7 @@ HANDED_IN = frozenset(
     "actions deviations dtype generator layout middle model names period spec states"
     " stretch".split()
 )
-"""Arguments that the builders hand in, which are no settings."""
+"""Arguments of constructors that the builders hand in, which are no settings."""
 
 FUNCTIONS = ("reward",)
 """Groups in which a function will do as well as a class."""
@@ -153,6 +153,7 @@ def _settings(
     """The values of ``node`` as their types want them, and the defaults of the others."""
     result: dict[str, Any] = {}
     prefix = f"{key}." if key else ""
+    handed_in = frozenset() if owner is None else HANDED_IN
     for name, value in node.items():
         full = f"{prefix}{name}"
         if name in ("_target_", "_args_") or accepted is None:
@@ -162,11 +163,11 @@ def _settings(
             result[name] = _value(full, value, accepted[name].kind)
         elif given(f"{prefix}_target_") is None or given(full) is not None:
             # Where the class was typed, the settings of the option's own class do not count.
-            known = sorted({*accepted, *also} - HANDED_IN - {"_target_"})
+            known = sorted({*accepted, *also} - handed_in - {"_target_"})
             line = unknown_key(_shown(full, value), given_name(full), known)
             raise ConfigError(line + _hint(key, name, owner))
     for name, argument in (accepted or {}).items():
-        if name not in result and name not in HANDED_IN:
+        if name not in result and name not in handed_in:
             default = _plain_default(argument.default)
             if default is not _UNSET:
                 result[name] = default

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -11,8 +12,9 @@ import pytest
 from edtorch.app import schema
 from edtorch.app.compose import compose
 from edtorch.app.errors import ConfigError
+from edtorch.app.groups import TARGETED, Safe
 from edtorch.app.overrides import given_name, typing
-from edtorch.app.schema import checked_fields
+from edtorch.app.schema import checked, checked_fields
 from edtorch.renamed import RENAMED_KEYS, current_keys
 
 
@@ -128,6 +130,14 @@ def test_former_names_of_components() -> None:
     assert bicycle.reward.state.s0 == 2.0  # refused later, by the name that was typed
     with typing(["+reward.state.s7=1"]):
         assert given_name("reward.state.state_7") == "reward.state.s7"
+
+
+def test_what_an_older_configuration_lacks_is_set_by_default() -> None:
+    """Settings of groups without a class too, whatever a constructor's argument is called."""
+    old = {"domain": {"_target_": "sims.bicycle.Bicycle"}, "command": {"variant": "safe"}}
+    targets = {key: compose().plain()[key] for key in TARGETED}
+    command = checked(targets | old).command
+    assert command.plain() == dataclasses.asdict(Safe())
 
 
 def test_both_names_of_a_setting_are_refused() -> None:
