@@ -16,6 +16,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from sims.tasks.pendulum import UprightPendulum
 from sims.tasks.quadrotor import Quadrotor
 
 EPISODES = 50
+LINEAR_TICKS = (100, 200, 400)
 Result = dict[str, Any]
 
 
@@ -160,8 +162,8 @@ def quadrotor(seeds: Sequence[int]) -> Result:
     return {"failures": crashes, "distance_cm": distances, "held": held}
 
 
-def _linear(seeds: Sequence[int], model: str) -> Result:
-    """An unstable linear system with noise, 100 ticks: episodes of 50 ticks do not diverge (ten
+def _linear(seeds: Sequence[int], model: str, ticks: int) -> Result:
+    """An unstable linear system with noise, 20 seeds: episodes of 50 ticks do not diverge (ten
     times the largest start, with the spectral radius of the closed loop beside it)."""
     many = range(seeds[0], seeds[0] + 20)
     F = torch.tensor([[1.01, 0.02], [0.02, 1.01]], dtype=torch.float64)
@@ -173,7 +175,7 @@ def _linear(seeds: Sequence[int], model: str) -> Result:
         f"model={model}",
         "model.features=affine",
     ]
-    run = _learn(None, many, 100, overrides=settings)
+    run = _learn(None, many, ticks, overrides=settings)
     radii, sizes = [], []
     for policy in run.policies:
         rows = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -191,16 +193,6 @@ def _linear(seeds: Sequence[int], model: str) -> Result:
     return {"radius": radii, "largest": sizes, "held": [size <= 10.0 for size in sizes]}
 
 
-def linear_derivative(seeds: Sequence[int]) -> Result:
-    """The linear system with the derivative form of the model, 20 seeds."""
-    return _linear(seeds, "derivative")
-
-
-def linear_next_state(seeds: Sequence[int]) -> Result:
-    """The linear system with the next-state form of the model, 20 seeds."""
-    return _linear(seeds, "next_state")
-
-
 SYSTEMS: dict[str, Callable[[Sequence[int]], Result]] = {
     f.__name__: f
     for f in (
@@ -209,9 +201,11 @@ SYSTEMS: dict[str, Callable[[Sequence[int]], Result]] = {
         pendulum,
         cart_pole,
         quadrotor,
-        linear_derivative,
-        linear_next_state,
     )
+} | {
+    f"linear_{model}_{ticks}": partial(_linear, model=model, ticks=ticks)
+    for model in ("derivative", "next_state")
+    for ticks in LINEAR_TICKS
 }
 
 

@@ -7,7 +7,9 @@ their influence as nearer ones arrive.  A narrow bandwidth h wastes samples wher
 wide one keeps the error of the linearisation.  Several bandwidths are fitted side by side, and the
 one whose predictions of samples not yet seen were best near the target is used (prequential
 validation; Dawid, "Statistical theory: the prequential approach", 1984; local regression: Cleveland
-& Devlin, "Locally weighted regression", 1988).
+& Devlin, "Locally weighted regression", 1988).  Where several are about as good, the widest of them
+is used, since it rests on the most samples (compare the one-standard-error rule of Breiman et al.,
+"Classification and regression trees", 1984).
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ class LocalLeastSquares:
     size of each feature, so that scales and units do not matter.
 
     phi may have more features after 1 and s.  states n; target: wanted values by index of the
-    component, scaled units; bandwidths h: in spreads.  Raises ValueError for settings out of range.
+    component, scaled units; bandwidths h: in spreads; tie: scores within the share
+    tie * k / (samples so far) of the best count as equal, k being the number of features.  Raises
+    ValueError for settings out of range.
     """
 
     states: int
@@ -48,6 +52,7 @@ class LocalLeastSquares:
     bandwidths: Sequence[float] = (0.1, 0.3, 1.0, 1000.0)
     power: float = 2.0
     ridge: float = 1e-6
+    tie: float = 2.0
 
     reads_state: ClassVar[bool] = True
     """The features must begin with 1 and the state."""
@@ -61,6 +66,8 @@ class LocalLeastSquares:
             raise ValueError(f"ridge={self.ridge}: expected a number > 0")
         if not self.power >= 0:
             raise ValueError(f"power={self.power}: expected a number >= 0")
+        if not self.tie >= 0:
+            raise ValueError(f"tie={self.tie}: expected a number >= 0")
         for index in self.target:
             if not 0 <= index < self.states:
                 raise ValueError(f"target[{index}]: expected an index below {self.states}")
@@ -70,7 +77,9 @@ class LocalLeastSquares:
         ``[*batch, J, n, k]`` and ``score`` ``[*batch, J]``, the weighted sum of squared errors of
         its predictions, relative to ``least`` ``[*batch, n]``; ``squares`` and ``most``
         ``[*batch, n]``: sum and maximum of e^2; ``count`` ``[*batch]``; ``total`` ``[*batch]`` and
-        ``sum`` ``[*batch, n]`` of w and w s for the narrowest bandwidth."""
+        ``sum`` ``[*batch, n]`` of w and w s for the narrowest bandwidth; ``power``
+        ``[*batch, J, n]`` and ``mass`` ``[*batch, J]``, the sums of w y^2 and of w; ``error``
+        ``[*batch, n]``, the weighted root mean square residual of the weights in use."""
         batch, (n, k) = weight.shape[:-2], weight.shape[-2:]
         zeros, J = weight.new_zeros, len(self.bandwidths)
         return {
@@ -84,6 +93,9 @@ class LocalLeastSquares:
             "count": zeros(batch),
             "total": zeros(batch),
             "sum": zeros(*batch, n),
+            "power": zeros(*batch, J, n),
+            "mass": zeros(*batch, J),
+            "error": zeros(*batch, n),
         }
 
     def update(
@@ -111,8 +123,12 @@ class LocalLeastSquares:
         A = memory["A"] + weighted.unsqueeze(-1) * phi[..., None, None, :]
         C = memory["C"] + weighted.unsqueeze(-1) * y[..., None, None, :]
         W = self._solved(A, C)
-        best = score.argmin(-1)[..., None, None, None]
+        best = self._best(score, count, phi.shape[-1])[..., None, None, None]
         chosen = torch.take_along_dim(W, best, dim=-3).squeeze(-3)
+        # sum w (y - W phi)^2 = sum w y^2 - W_i. C_.i at the minimum.
+        power = memory["power"] + w.unsqueeze(-1) * y.square().unsqueeze(-2)
+        mass = memory["mass"] + w
+        mean = ((power - (W.mT * C).sum(-2)) / mass.unsqueeze(-1)).clamp(min=0)
         fresh = {
             "A": A,
             "C": C,
@@ -124,14 +140,33 @@ class LocalLeastSquares:
             "count": count,
             "total": memory["total"] + local,
             "sum": memory["sum"] + local.unsqueeze(-1) * state,
+            "power": power,
+            "mass": mass,
+            "error": torch.take_along_dim(mean, best.squeeze(-1), dim=-2).squeeze(-2).sqrt(),
         }
         return Fitted(chosen, fresh, residual)
 
     def describe(self, memory: Parameters) -> Parameters:
         """What a value path may use beside the weights, each ``[*batch, n]``, scaled units:
-        ``centre``, and ``excursion``, the greatest |s - centre| so far."""
+        ``centre``; ``excursion``, the greatest |s - centre| so far, and ``spread``, its root mean
+        square; ``error``, the weighted root mean square residual of y; and ``count``
+        ``[*batch]``, the number of samples."""
         centre = self._centre(memory, torch.zeros_like(memory["sum"]))
-        return {"centre": centre, "excursion": memory["most"].sqrt()}
+        count = memory["count"].clamp(min=1)
+        return {
+            "centre": centre,
+            "excursion": memory["most"].sqrt(),
+            "spread": (memory["squares"] / count.unsqueeze(-1)).sqrt(),
+            "error": memory["error"],
+            "count": memory["count"],
+        }
+
+    def _best(self, score: Tensor, count: Tensor, unknowns: int) -> Tensor:
+        """``[*batch]``: the widest bandwidth whose score is not significantly above the best."""
+        close = 1 + self.tie * unknowns / count
+        near = score <= close.unsqueeze(-1) * score.amin(-1, keepdim=True)
+        widths = torch.tensor(self.bandwidths, dtype=score.dtype, device=score.device)
+        return torch.where(near, widths, 0.0).argmax(-1)
 
     def _centre(self, memory: Parameters, otherwise: Tensor) -> Tensor:
         """``[*batch, n]``; otherwise: of components without a target before the first sample."""

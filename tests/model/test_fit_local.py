@@ -66,6 +66,8 @@ def test_samples_are_weighted_by_their_distance_from_the_target() -> None:
     known = LocalLeastSquares(2, target, (h,)).describe(memory)
     assert known["centre"][0].tolist() == [0.5, -0.2]
     torch.testing.assert_close(known["excursion"][0], e.amax(0).sqrt())
+    torch.testing.assert_close(known["spread"][0], e.mean(0).sqrt())
+    assert known["count"].item() == 80
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -93,6 +95,17 @@ def test_noise_wants_a_wide_bandwidth() -> None:
     narrow, _ = _fitted(LocalLeastSquares(2, target, (0.1,)), phi, y)
     error, narrow_error = ((w - truth).square().mean().item() for w in (chosen, narrow))
     assert error < 0.3 * narrow_error
+
+
+def test_scores_within_the_tie_give_the_widest_bandwidth() -> None:
+    """Prequential scores of pure noise differ by chance alone."""
+    state, action = _samples(7, 100)
+    g = torch.Generator().manual_seed(8)
+    y = torch.randn(100, 1, 2, generator=g, dtype=torch.float64)
+    phi, target = _phi(state, action), {0: 0.0, 1: 0.0}
+    wide, _ = _fitted(LocalLeastSquares(2, target, (1000.0,)), phi, y)
+    chosen, _ = _fitted(LocalLeastSquares(2, target, tie=1e9), phi, y)
+    torch.testing.assert_close(chosen, wide, rtol=1e-12, atol=1e-12)
 
 
 def test_units_do_not_matter() -> None:

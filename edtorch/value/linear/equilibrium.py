@@ -13,6 +13,13 @@ each action.  About the equilibrium the model is linear without a constant.  The
 a = a_eq + K (s - s_eq), K the first gain of the regulator over 2^doublings ticks with Bryson's rule
 for the weights (Bryson & Ho, "Applied Optimal Control", 1975): Q = S^-2, times ``rest`` for
 components without a target, and R = price H^-2.
+
+A model learned from noisy data is known only to a standard error.  K is that of the model
+((1 + d) F, (1 + d) G), with d ``margin`` standard errors of a predicted change, relative to the
+spread of the data: the closed loop of the learned model then has a spectral radius of at most
+1 / (1 + d) (prescribed degree of stability; Anderson & Moore, "Optimal control: linear quadratic
+methods", 1990, section 3.5), and that of the system itself most probably stays below 1.  Without
+noise d is zero.
 """
 
 from __future__ import annotations
@@ -31,19 +38,24 @@ from edtorch.types import Parameters
 from edtorch.value.linear.lqr import doubled_lqr
 from edtorch.value.unroll import ValueGradient
 
+_MOST = 0.1
+"""The greatest margin per tick: with little data the model says little about stability."""
+
 
 @dataclass(frozen=True)
 class HoldSettings:
     """price: of actions, for half their range squared; rest: weight of components without a
     target, beside 1; gain: share of the cost that a new policy must save to replace the old one;
     slack: weight of usual values beside that of standing still; doublings: the horizon is 2 to
-    this power, in ticks.  Raises ValueError for settings out of range."""
+    this power, in ticks; margin: of stability, in standard errors of the model.  Raises ValueError
+    for settings out of range."""
 
     price: float = 1.0
     rest: float = 0.01
     gain: float = 0.001
     slack: float = 0.001
     doublings: int = 9
+    margin: float = 2.0
 
     def __post_init__(self) -> None:
         for name in ("price", "slack"):
@@ -52,6 +64,8 @@ class HoldSettings:
         for name in ("rest", "gain"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name}={getattr(self, name)}: expected a number in [0, 1)")
+        if not self.margin >= 0:
+            raise ValueError(f"margin={self.margin}: expected a number >= 0")
         if self.doublings < 1:
             raise ValueError(f"doublings={self.doublings}: expected at least one")
 
@@ -105,8 +119,8 @@ class EquilibriumRegulator:
     model: linear with a constant, policy: linear with a constant (ValueError otherwise); dt:
     seconds per tick of the world; target: wanted values by index of the component, scaled units;
     weights: factors of Q by index (1 where there is none); prices ``[m]``: factors of R; middle,
-    half ``[m]``: of the range of the actions, scaled.  Model parameters must include ``centre``
-    and ``excursion`` (``edtorch.model.fit_local``).
+    half ``[m]``: of the range of the actions, scaled.  Model parameters must include what
+    ``describe`` of ``edtorch.model.fit_local`` gives.
     """
 
     model: Model
@@ -159,7 +173,8 @@ class EquilibriumRegulator:
         Q = torch.diag_embed(centre.new_tensor(factors) / excursion.square())
         R = torch.diag(settings.price * self.prices / self.half.square())
         F, G = dynamics.state, dynamics.action
-        K = doubled_lqr(F, G, Q, R, doublings=settings.doublings)
+        margin = 1 + self._margin(model)[..., None, None]
+        K = doubled_lqr(margin * F, margin * G, Q, R, doublings=settings.doublings)
         constant = action - matvec(K, where)
         new = LinearGain(K, constant)
         # What the model does not keep still at the equilibrium, per tick.
@@ -180,6 +195,17 @@ class EquilibriumRegulator:
         )
         value = -torch.where(better.squeeze(-1), new_cost, old_cost)
         return ValueGradient(value.nan_to_num(-1e300, 1e300, -1e300), self.policy.of_gain(change))
+
+    def _margin(self, model: Parameters) -> Tensor:
+        """d ``[B]``: ``margin`` standard errors of the model, relative to the data's spread."""
+        error = model["error"]
+        per_tick = self.model.residual_noise(error, error.new_tensor(self.dt))
+        variance = self.model.noise_over(per_tick, self.dt).diagonal(dim1=-2, dim2=-1)
+        spread = model["spread"].square()
+        share = torch.where(spread > 0, variance / spread, 0.0).mean(-1)
+        unknowns = 1 + error.shape[-1] + self.half.shape[-1]
+        standard = (share * unknowns / model["count"].clamp(min=1)).sqrt()
+        return (self.settings.margin * standard).clamp(max=_MOST)
 
     def _cost(
         self,

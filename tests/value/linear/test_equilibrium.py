@@ -44,7 +44,14 @@ def _regulator(**settings: float) -> EquilibriumRegulator:
 
 
 def _model(weight: Tensor) -> Parameters:
-    return {"weight": weight.unsqueeze(0), "centre": CENTRE, "excursion": EXCURSION}
+    return {
+        "weight": weight.unsqueeze(0),
+        "centre": CENTRE,
+        "excursion": EXCURSION,
+        "spread": EXCURSION,
+        "error": torch.zeros_like(CENTRE),
+        "count": torch.full((1,), 100.0).double(),
+    }
 
 
 def _policy(constant: float, position: float, speed: float) -> Parameters:
@@ -75,6 +82,21 @@ def test_an_action_beyond_its_bounds_is_clamped() -> None:
     half = torch.full((1,), 10.0).double()
     _, action = equilibrium(*parts, torch.tensor([True, False]), 0 * half, half, 1e-6)
     assert action.item() == 10.0
+
+
+@pytest.mark.parametrize("error", [0.0, 0.5, 2.0])
+def test_the_closed_loop_has_the_margin_of_the_models_standard_error(error: float) -> None:
+    """The spectral radius is at most 1 / (1 + d); the largest margin is 0.1 per tick."""
+    weight, drift, G = _mass()
+    model = _model(weight) | {"error": torch.full_like(CENTRE, error)}
+    found = _regulator()(model, _policy(0.0, 0.0, 0.0), {}, CENTRE)
+    K = found.gradient["weight"][0, :, 1:]
+    radius = float(torch.linalg.eigvals(torch.eye(2) + drift + G @ K).abs().max())
+    relative = ((DT * error / EXCURSION[0]).square().mean() * 4 / 100).sqrt()
+    assert radius <= 1 / (1 + min(2 * float(relative), 0.1)) + 1e-9
+    plain = _regulator(margin=0.0)(model, _policy(0.0, 0.0, 0.0), {}, CENTRE)
+    same = bool(torch.allclose(plain.gradient["weight"], found.gradient["weight"], rtol=1e-12))
+    assert same == (error == 0.0)
 
 
 def test_the_rest_changes_least_where_many_equilibria_exist() -> None:
