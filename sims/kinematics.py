@@ -1,5 +1,8 @@
 """The one doorway to pytorch-kinematics: a chain of joints from a URDF file, batched.
 
+The file is read by ``sims.urdf`` and inverse kinematics is that of ``sims.inverse_kinematics``: the
+library's parser rounds to float32 and its solver gives up a whole batch when one start diverges.
+
 ``forward`` and ``jacobian`` may be differentiated by ``torch.func`` and by autograd, to any order;
 ``torch.func.vmap`` over them does not work, their own batch axes are for that.
 """
@@ -8,18 +11,29 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import torch
 from torch import Tensor
 
-_STARTS = 8
-"""Poses that inverse kinematics starts from."""
-_POLISH = 3
-"""Newton steps after it: each doubles the digits."""
+from sims.inverse_kinematics import solve
+from sims.urdf import Drive, Joint, Robot
+
+_TOLERANCE = 1e-7
+"""How exactly inverse kinematics reaches a pose, m and rad."""
+_ENOUGH = 1e-10
+"""Where it stops trying."""
+_SKEW = 1e-4
+"""How far a rotation matrix may be from an orthogonal one."""
+_NEARLY = 0.01
+"""rad by which a range may fall short of a whole turn and count as one: 3.14 to either side."""
+_FAR = 1e9
+"""How far an endless slide is taken to go, m."""
 
 
 def pytorch_kinematics() -> ModuleType:
@@ -43,8 +57,9 @@ class Pose:
 
 @dataclass(frozen=True)
 class Solution:
-    """Answers of inverse kinematics: angles ``[*batch, n]``, rad, and whether each of them
-    (bool ``[*batch]``) reaches its pose within the joints' ranges; where not, angles are NaN."""
+    """Answers of inverse kinematics: positions of the joints ``[*batch, n]``, rad or m, and whether
+    each of them (bool ``[*batch]``) reaches its pose within the joints' ranges; where not, the
+    positions are NaN."""
 
     angles: Tensor
     found: Tensor
@@ -53,8 +68,10 @@ class Solution:
 class Chain:
     """The joints from link ``root`` to link ``end`` of the robot in file ``urdf``.
 
-    Everything is in the frame of ``root``, in float64.  ``low``, ``high``: ranges of the joints for
-    inverse kinematics (default: those of the file).
+    Everything is in the frame of ``root``, in float64.  ``joints`` are those that move by
+    themselves: one that mimics another follows it, which need not be on the way.  ``low``,
+    ``high``: ranges of the joints, rad or m, for inverse kinematics (default: those of the file;
+    infinite for a continuous joint).
     """
 
     def __init__(
@@ -66,119 +83,169 @@ class Chain:
         low: Sequence[float] | None = None,
         high: Sequence[float] | None = None,
     ) -> None:
-        """Read the file."""
-        self._pk = pk = pytorch_kinematics()
-        text = Path(urdf).read_text(encoding="utf-8")
+        """Read the file; ValueError, in one line, for what is wrong in it."""
+        pk = pytorch_kinematics()
+        robot = Robot(urdf)
+        path = robot.between(root, end)
+        moving = [joint for joint in path if joint.kind != "fixed"]
+        drives = [robot.drive(joint.name) for joint in moving]
+        if not drives:
+            raise ValueError(
+                f"root={root!r}, end={end!r}: expected a moving joint between them in {urdf}"
+            )
+        self.joints: tuple[str, ...] = tuple(dict.fromkeys(drive.source for drive in drives))
+        self.low, self.high = _ranges(urdf, drives, {"low": low, "high": high})
+        self._gain = torch.zeros(len(drives), len(self.joints), dtype=torch.float64)
+        self._offset = torch.tensor([drive.offset for drive in drives], dtype=torch.float64)
+        # An upper bound of the distance of ``end`` from ``root``, m.
+        self._reach = sum(float(joint.origin[:3, 3].norm()) for joint in path)
+        self._turning = self.high - self.low > 2 * math.pi - _NEARLY
+        for row, (joint, drive) in enumerate(zip(moving, drives, strict=True)):
+            column = self.joints.index(drive.source)
+            self._gain[row, column] = drive.gain
+            if joint.kind == "prismatic" and drive.gain != 0:
+                ends = (self.low[column], self.high[column])
+                self._reach += max(abs(drive.gain * float(end) + drive.offset) for end in ends)
+            # Of a gear a whole turn need not be one of what it moves.
+            if joint.kind == "prismatic" or abs(drive.gain) != 1:
+                self._turning[column] = False
+        self._reach = min(self._reach * (1 + 1e-6) + 1e-6, _FAR)
+        # Frame 0 is the root's.
+        self._first = 1 + path.index(moving[0])
         try:
-            chain = pk.build_serial_chain_from_urdf(text, end_link_name=end, root_link_name=root)
-        except (KeyError, ValueError) as error:
-            raise ValueError(f"root={root!r}, end={end!r}: expected links of {urdf}") from error
-        self._chain = chain.to(dtype=torch.float64)
-        self.joints: tuple[str, ...] = tuple(chain.get_joint_parameter_names())
-        limits = torch.tensor(chain.get_joint_limits(), dtype=torch.float64)
-        self.low, self.high = limits
-        for name, given in (("low", low), ("high", high)):
-            if given is not None:
-                if len(given) != len(self.joints):
-                    raise ValueError(f"{name}={list(given)}: expected {len(self.joints)} angles")
-                setattr(self, name, torch.tensor(given, dtype=torch.float64))
-        self._moving, axes = [], []
-        frames = chain.frame_to_idx
-        for link in sorted(frames, key=frames.__getitem__):
-            joint = self._chain.find_frame(link).joint
-            if joint.joint_type == "fixed":
-                continue
-            if joint.joint_type != "revolute":
-                raise ValueError(f"joint {joint.name}: expected revolute, not {joint.joint_type}")
-            self._moving.append(frames[link])
-            axes.append(joint.axis)
-        self._axes = torch.stack(axes)
-        self._end: int = frames[end]
+            self._chain = _serial(pk, root, path)
+        except RecursionError:
+            raise ValueError(
+                f"root={root!r}, end={end!r}: {len(path)} joints between them in {urdf}; expected"
+                " fewer: pytorch-kinematics takes about a hundred"
+            ) from None
 
     def forward(self, angles: Tensor) -> Pose:
-        """The pose of ``end``; angles ``[*batch, n]``, rad."""
-        pose = self._frames(angles)[self._end]
+        """The pose of ``end``; angles ``[*batch, n]``, rad, and m where a joint slides."""
+        pose = self._frames(angles)[-1]
         return Pose(pose[..., :3, 3], pose[..., :3, :3])
 
     def jacobian(self, angles: Tensor) -> Tensor:
         """How the velocity of ``end``, m/s, and its angular velocity, rad/s, follow from the rates
         of the joints, ``[*batch, 6, n]``; angles ``[*batch, n]``.
 
-        Column k is (z_k x (p - p_k), z_k), with the axis z_k of joint k and a point p_k of it.
+        Column k is (z_k x (p - p_k), z_k), with the axis z_k of joint k and a point p_k of it, or
+        (z_k, 0) if it slides; those of joints that move together are added up.
         """
-        frames = self._frames(angles)
-        at = frames[self._moving]
-        axes = torch.einsum("k...ij,kj->k...i", at[..., :3, :3], self._axes.to(angles))
-        arms = frames[self._end][..., :3, 3] - at[..., :3, 3]
-        columns = torch.cat((torch.linalg.cross(axes, arms), axes), -1)
-        return columns.movedim(0, -1)
+        return self._jacobian(self._frames(angles))
 
     def inverse(self, pose: Pose) -> Solution:
-        """Angles that bring ``end`` to ``pose``: pytorch-kinematics' damped least squares from 8
-        fixed poses, then Newton steps to 1e-9 m and rad."""
-        batch = pose.position.shape[:-1]
-        target = torch.zeros(*batch, 4, 4, dtype=torch.float64)
-        target[..., :3, :3], target[..., :3, 3], target[..., 3, 3] = pose.rotation, pose.position, 1
-        goal = self._pk.Transform3d(matrix=target.reshape(-1, 4, 4))
-        generator = torch.Generator().manual_seed(0)
-        share = torch.rand(_STARTS, len(self.joints), generator=generator, dtype=torch.float64)
-        solver = self._pk.PseudoInverseIK(
-            self._chain,
-            retry_configs=self.low + (self.high - self.low) * share,
-            joint_limits=torch.stack((self.low, self.high), -1),
-            max_iterations=60,
-            lr=0.4,
-        )
-        found = solver.solve(goal).solutions.detach()
-        wanted = target.reshape(-1, 1, 4, 4)
-        for _ in range(_POLISH):
-            error = self._error(found, wanted)
-            # The joints may be fewer than six, and their columns nearly dependent.
-            found = (
-                found + torch.linalg.lstsq(self.jacobian(found), error[..., None]).solution[..., 0]
+        """Joints that bring ``end`` to ``pose``: damped least squares from 64 fixed starts, to 1e-7
+        m and rad, or to the precision of a ``pose`` in float32.
+
+        Answers of joints that can turn all the way are within pi of 0, if their ranges allow.
+        """
+        batch = torch.broadcast_shapes(pose.position.shape[:-1], pose.rotation.shape[:-2])
+        if pose.position.shape[-1:] != (3,) or pose.rotation.shape[-2:] != (3, 3):
+            raise ValueError(
+                f"pose: shapes {tuple(pose.position.shape)} and {tuple(pose.rotation.shape)},"
+                " expected [*batch, 3] and [*batch, 3, 3]"
             )
-        miss = self._error(found, wanted).abs().amax(-1)
-        inside = ((found >= self.low - 1e-9) & (found <= self.high + 1e-9)).all(-1)
-        miss = torch.where(inside & miss.isfinite(), miss, torch.inf)
-        best = miss.argmin(-1, keepdim=True)
-        angles = found.gather(1, best[..., None].expand(-1, 1, found.shape[-1]))[:, 0]
-        right = (miss.gather(1, best) < 1e-7)[:, 0]
-        angles = torch.where(right[:, None], angles, torch.nan)
-        return Solution(angles.reshape(*batch, -1), right.reshape(batch))
+        targets = torch.eye(4, dtype=torch.float64).repeat(*batch, 1, 1)
+        targets[..., :3, 3], targets[..., :3, :3] = pose.position.detach(), pose.rotation.detach()
+        targets = targets.reshape(-1, 4, 4)
+        places = self._reachable(targets).nonzero()[:, 0]
+        targets = targets[places]
+        left, _, right = torch.linalg.svd(targets[:, :3, :3])
+        targets[:, :3, :3] = left @ right
+
+        def kinematics(joints: Tensor) -> tuple[Tensor, Tensor]:
+            frames = self._frames(joints)
+            return frames[-1], self._jacobian(frames)
+
+        of_pose = (
+            torch.finfo(torch.result_type(t, 1.0)).eps for t in (pose.position, pose.rotation)
+        )
+        coarse = 10 * max(of_pose)
+        enough = max(_ENOUGH, coarse)
+        joints, miss = solve(kinematics, targets, self.low, self.high, self._turning, enough)
+        reached = miss < max(_TOLERANCE, coarse)
+        found = torch.zeros(batch.numel(), dtype=torch.bool)
+        angles = torch.full((batch.numel(), len(self.joints)), torch.nan, dtype=torch.float64)
+        found[places[reached]] = True
+        angles[places[reached]] = joints[reached]
+        return Solution(angles.reshape(*batch, len(self.joints)), found.reshape(batch))
 
     def level(self, position: Tensor) -> Solution:
         """Angles that bring ``end`` to ``position`` ``[*batch, 3]``, m, and hold it level: its z
         along that of ``root``, its x pointing away from the first joint, which turns about z."""
-        away = (
-            position - self._frames(torch.zeros(len(self.joints)).double())[self._moving[0], :3, 3]
-        )
+        away = position - self._frames(torch.zeros(len(self.joints)))[self._first, :3, 3]
         yaw = torch.atan2(away[..., 1], away[..., 0])
         zero, one = torch.zeros_like(yaw), torch.ones_like(yaw)
         rows = (yaw.cos(), -yaw.sin(), zero, yaw.sin(), yaw.cos(), zero, zero, zero, one)
         return self.inverse(Pose(position, torch.stack(rows, -1).unflatten(-1, (3, 3))))
 
     def _frames(self, angles: Tensor) -> Tensor:
-        """Of all links, ``[F, *batch, 4, 4]``."""
+        """Of the links on the way, ``[F, *batch, 4, 4]``."""
         n = len(self.joints)
-        if angles.shape[-1] != n:
+        if angles.shape[-1:] != (n,):
             raise ValueError(f"angles: shape {tuple(angles.shape)}, expected [*batch, {n}]")
+        positions = angles.reshape(-1, n).double() @ self._gain.mT + self._offset
         # Its analytical gradient is an autograd function that torch.func refuses.
-        frames = self._chain.forward_kinematics_tensor(angles.reshape(-1, n), analytical_grad=False)
+        frames = self._chain.forward_kinematics_tensor(positions, analytical_grad=False)
         return frames.reshape(len(frames), *angles.shape[:-1], 4, 4)
 
-    def _error(self, angles: Tensor, wanted: Tensor) -> Tensor:
-        """What is lacking, position and small rotation ``[*batch, 6]``."""
-        pose = self.forward(angles)
-        turn = wanted[..., :3, :3] @ pose.rotation.mT
-        vector = torch.stack(
-            (
-                turn[..., 2, 1] - turn[..., 1, 2],
-                turn[..., 0, 2] - turn[..., 2, 0],
-                turn[..., 1, 0] - turn[..., 0, 1],
-            ),
-            -1,
+    def _jacobian(self, frames: Tensor) -> Tensor:
+        flat = frames.unsqueeze(1).flatten(1, -3)
+        columns = self._chain.jacobian_tensor(None, all_transforms=flat)
+        return (columns @ self._gain).reshape(*frames.shape[1:-2], 6, -1)
+
+    def _reachable(self, targets: Tensor) -> Tensor:
+        """Which targets ``[N, 4, 4]`` are poses, and not farther away than the chain is long."""
+        position, rotation = targets[:, :3, 3], targets[:, :3, :3]
+        skew = (rotation @ rotation.mT - torch.eye(3).double()).abs().amax((-2, -1))
+        x, y, z = rotation.unbind(-1)
+        # Comparisons with NaN are False.
+        right_handed = (torch.linalg.cross(x, y) * z).sum(-1) > 0
+        return (position.norm(dim=-1) <= self._reach) & (skew < _SKEW) & right_handed
+
+
+def _ranges(
+    urdf: Path | str, drives: Sequence[Drive], given: Mapping[str, Sequence[float] | None]
+) -> tuple[Tensor, Tensor]:
+    """``low`` and ``high``, those given or else those of the file."""
+    sources = list(dict.fromkeys(drive.source for drive in drives))
+    bounds: dict[str, list[float]] = {}
+    for end, narrower in (("low", max), ("high", min)):
+        numbers = given[end]
+        if numbers is None:
+            numbers = []
+            for source in sources:
+                all_of = [getattr(drive, end) for drive in drives if drive.source == source]
+                if None in all_of:
+                    raise ValueError(
+                        f"{urdf}: joint {source!r}: expected <limit lower=... upper=...>, or type"
+                        " continuous, or low and high to be given"
+                    )
+                numbers.append(narrower(all_of))
+        elif len(numbers) != len(sources):
+            raise ValueError(f"{end}={list(numbers)}: expected {len(sources)} numbers")
+        bounds[end] = list(numbers)
+    low, high = (torch.tensor(bounds[end], dtype=torch.float64) for end in ("low", "high"))
+    for source, least, most in zip(sources, low.tolist(), high.tolist(), strict=True):
+        if not least <= most:
+            raise ValueError(
+                f"{urdf}: joint {source!r}: range from {least} to {most}: expected low <= high"
+            )
+    return low, high
+
+
+def _serial(pk: ModuleType, root: str, path: Sequence[Joint]) -> Any:
+    """The library's chain.  Built here, since its reader of files rounds to float32."""
+    above = base = pk.frame.Frame(root, link=pk.frame.Link(root))
+    for joint in path:
+        offset = pk.Transform3d(matrix=joint.origin[None], dtype=torch.float64)
+        frame = pk.frame.Frame(
+            joint.child,
+            link=pk.frame.Link(joint.child),
+            joint=pk.frame.Joint(joint.name, offset, joint.kind, joint.axis, dtype=torch.float64),
         )
-        # Half the vector is the sine of the angle: the trace tells small ones from those near pi.
-        away = (3 - turn.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)).clamp(min=0)
-        far = torch.where(away > 2, torch.inf, 0.5 * vector)
-        return torch.cat((wanted[..., :3, 3] - pose.position, far), -1)
+        above.add_child(frame)
+        above = frame
+    tree = pk.chain.Chain(base, dtype=torch.float64)
+    return pk.chain.SerialChain(tree, above.name, dtype=torch.float64)
