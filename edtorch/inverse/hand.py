@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -19,7 +20,7 @@ _POSES = 256
 
 class HandCoordinates:
     """y = (position of the chain's end / ``length``, slope of the hand, further joints), less its
-    mean over the joints' ranges.
+    mean over the joints' ranges, those within pi of 0.
 
     Far from 0 a policy's state and its constant would tell nearly the same, and be learned slowly.
 
@@ -74,7 +75,8 @@ class HandCoordinates:
         self._middle = torch.zeros(len(joints), dtype=torch.float64)
         generator = torch.Generator().manual_seed(0)
         share = torch.rand(_POSES, len(joints), generator=generator, dtype=torch.float64)
-        self._middle = self.place(chain.low + (chain.high - chain.low) * share).mean(0)
+        low, high = chain.low.clamp(min=-math.pi), chain.high.clamp(max=math.pi)
+        self._middle = self.place(low + (high - low) * share).mean(0)
 
     def place(self, angles: Tensor) -> Tensor:
         """y ``[*batch, n]``; angles ``[*batch, n]``, rad."""
