@@ -32,7 +32,7 @@ from edtorch.types import Belief, LearnerState, Metrics, Trajectory, Transition
 
 if TYPE_CHECKING:
     from edtorch.api import learn, load
-    from edtorch.app.acting import Policy
+    from edtorch.app.acting import LearnedPolicy
     from edtorch.app.learned import Run
 
 _renamed.install()
@@ -41,7 +41,7 @@ _claim("sims")  # which registers edtorch/Bicycle-v0 with Gymnasium
 __version__ = "0.1.0"
 
 _LAZY = {
-    "Policy": "edtorch.app.acting",
+    "LearnedPolicy": "edtorch.app.acting",
     "Run": "edtorch.app.learned",
     "learn": "edtorch.api",
     "load": "edtorch.api",
@@ -63,9 +63,9 @@ def __dir__() -> list[str]:
 
 __all__ = [
     "Belief",
+    "LearnedPolicy",
     "LearnerState",
     "Metrics",
-    "Policy",
     "Run",
     "Trajectory",
     "Transition",

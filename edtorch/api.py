@@ -19,10 +19,10 @@ from rich.console import Console
 from torch import nn
 
 from edtorch.app.arguments import (
-    World,
+    WorldArguments,
     budget_overrides,
     check_kinds,
-    domain_of,
+    domain_settings,
     in_arguments,
     reward_of,
 )
@@ -32,12 +32,12 @@ from edtorch.app.errors import EXPECTED, ConfigError, one_line
 from edtorch.app.given import Given, with_objects
 from edtorch.app.job import Job, Work
 from edtorch.app.learned import Run, copied, new_folder, read_records, read_summary
-from edtorch.app.outputs import Memory, write_run
+from edtorch.app.outputs import Replay, write_run
 from edtorch.app.policies import frozen_world, stored_policies
 from edtorch.app.rundir import POLICY, SUMMARY, as_settings, read_config
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
-from edtorch.app.work import prepared
+from edtorch.app.work import planned
 from edtorch.run.log import ConsoleSink, Sink, StderrHandler
 from sims.base import Sim
 
@@ -53,7 +53,7 @@ GRADIENT = (
 """What the preset ``regulation`` does otherwise with a reward or a policy of one's own."""
 
 Env = str | gymnasium.Env[Any, Any] | Callable[[], gymnasium.Env[Any, Any]] | Sim
-Reward = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+RewardFunction = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 
 def learn(
@@ -62,7 +62,7 @@ def learn(
     preset: str = "regulation",
     target: Mapping[str, float] | None = None,
     weights: Mapping[str, float] | None = None,
-    reward: Reward | None = None,
+    reward: RewardFunction | None = None,
     policy: nn.Module | None = None,
     seconds: float | None = None,
     episodes: int | None = None,
@@ -113,7 +113,7 @@ def learn(
     Ctrl-C ends learning after the tick; the run then holds what there is.  Raises ValueError with
     one line for whatever is wrong with the arguments.
     """
-    world = World(dt, time_limit, names, action_names, angles, rates, scale, termination)
+    world = WorldArguments(dt, time_limit, names, action_names, angles, rates, scale, termination)
     stop, began = Stop(), time.monotonic()
     console = Console(quiet=not progress)
     own = reward is not None or policy is not None
@@ -135,10 +135,10 @@ def learn(
         if policy is not None:
             config = with_objects(config, {"policy": {"given": Given(policy)}})
         _check_copies(config, seeds)
-        _, begin = prepared(config)
+        _, begin = planned(config)
         if save is not None:
             new_folder(Path(save))
-        memory = Memory()
+        memory = Replay()
         with _threads(config.compute.threads), stop.listening(ending=False), _messages(progress):
             work = begin()
             console.print(_first_line(work, preset, seconds, episodes), soft_wrap=True)
@@ -166,7 +166,7 @@ def load(
     folder: str | Path,
     *,
     env: Env | None = None,
-    reward: Reward | None = None,
+    reward: RewardFunction | None = None,
     policy: nn.Module | None = None,
     trust: bool | Sequence[str] = False,
 ) -> Run:
@@ -265,10 +265,10 @@ def _interrupted(job: Job, sinks: Sequence[Sink]) -> bool:
 
 
 def _with_world(
-    config: Settings, env: Env | None, world: World, target: Mapping[str, float] | None
+    config: Settings, env: Env | None, world: WorldArguments, target: Mapping[str, float] | None
 ) -> Settings:
     if env is not None:
-        return with_objects(config, {"domain": domain_of(env, world, target or {})})
+        return with_objects(config, {"domain": domain_settings(env, world, target or {})})
     told = world.given()
     for name in set(told) - {"dt", "time_limit"}:
         raise ConfigError(f"{name}={told[name]}: expected none without env")
@@ -280,7 +280,7 @@ def _with_reward(
     env: Env | None,
     target: Mapping[str, float] | None,
     weights: Mapping[str, float] | None,
-    reward: Reward | None,
+    reward: RewardFunction | None,
 ) -> Settings:
     if reward is not None:
         for name, value in (("target", target), ("weights", weights)):
@@ -306,7 +306,7 @@ def _check_copies(config: Settings, seeds: int) -> None:
 
 
 def _replaced_env(config: Settings, env: Env) -> Settings:
-    node = domain_of(env, World(), {})
+    node = domain_settings(env, WorldArguments(), {})
     if "given" in node or "given" in config.domain:
         return with_objects(config, {"domain": node})
     kept = {k: v for k, v in config.domain.items() if k not in ("env", "env_id", "_target_")}

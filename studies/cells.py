@@ -44,7 +44,7 @@ from edtorch.app.compose import compose
 from edtorch.app.errors import ConfigError
 from edtorch.app.report import defaults
 from edtorch.report.groups import telling
-from edtorch.report.runs import CONFIG, SUMMARY, Settings, Unusable, flat, load
+from edtorch.report.runs import CONFIG, SUMMARY, FlatSettings, Unusable, flat, load_run
 
 # The command that a run records: one that a user can type.
 TRAIN = "import sys; sys.argv[0] = 'edtorch-train'; from edtorch.app.train import main; main()"
@@ -191,7 +191,7 @@ def _filled(cell: Cell, rows: Mapping[str, Sequence[Cell]], output: Path) -> Cel
     return Cell(cell.table, cell.name, filled, cell.baseline)
 
 
-def _settings(every: Settings) -> dict[str, Any]:
+def _settings(every: FlatSettings) -> dict[str, Any]:
     """The settings that two runs with the same result share, seeds included.
 
     A setting that did not exist when a run was made has its default.
@@ -212,7 +212,7 @@ def is_done(folder: Path, settings: dict[str, Any]) -> bool:
     if not folder.exists():
         return False
     try:
-        held = _settings(load(folder).settings)
+        held = _settings(load_run(folder).settings)
     except Unusable as error:
         if not (folder / CONFIG).is_file() and any(folder.iterdir()):
             raise BadCells(f"{folder}: expected a run or nothing ({error})") from error

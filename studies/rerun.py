@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from edtorch.report.runs import load
+from edtorch.report.runs import load_run
 from studies import cells as making
 from studies.cells import REPORT, Finished
 from studies.rerun_figures import draw
@@ -25,7 +25,9 @@ PAGE = "report"
 def gather(study: Finished) -> Material:
     """The runs that each row has, and why the others are missing."""
     runs = {
-        row: [load(cell.folder(study.output)) for cell in cells if cell.title not in study.missing]
+        row: [
+            load_run(cell.folder(study.output)) for cell in cells if cell.title not in study.missing
+        ]
         for row, cells in study.plan.rows.items()
     }
     return Material(runs, study.missing)

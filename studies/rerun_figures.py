@@ -13,7 +13,7 @@ from edtorch.app.policy import build_actor, policy_card
 from edtorch.app.rundir import POLICY, load_config
 from edtorch.report.domain import Domain, domain_of
 from edtorch.report.figures import Trace, learning_curve, length, one_episode, save_figure
-from edtorch.report.runs import Run
+from edtorch.report.runs import FinishedRun
 from edtorch.report.task_curve import task_curve
 from edtorch.run.checkpoint import load_policy, policy_dtype
 from edtorch.run.evaluation import evaluate
@@ -45,7 +45,7 @@ def draw(material: Material, folder: Path) -> list[str]:
     return drawn
 
 
-def _figure_2(run: Run, folder: Path) -> list[str]:
+def _figure_2(run: FinishedRun, folder: Path) -> list[str]:
     """Length of episode against training time; the angle to the goal in one episode after it."""
     config = load_config(run.path)
     sim = build_sim(config.domain)

@@ -13,7 +13,7 @@ from edtorch.report.document import median_cell
 from edtorch.report.domain import Domain
 from edtorch.report.groups import Group, places
 from edtorch.report.quantities import Quantity, never_there, sample, to_milestone
-from edtorch.report.runs import Run
+from edtorch.report.runs import FinishedRun
 from edtorch.report.tables import Table, as_markdown
 from sims.bicycle.bicycle import PATH_LENGTH, WORDS
 
@@ -25,7 +25,7 @@ FIGURE_3 = ("figure_3/cardea_paper", "figure_3/cardea")
 class Material:
     """runs: by row, ``TABLE/NAME``, those that there are; missing: by cell, why it is not there."""
 
-    runs: Mapping[str, Sequence[Run]]
+    runs: Mapping[str, Sequence[FinishedRun]]
     missing: Mapping[str, str]
 
     @property
@@ -61,11 +61,11 @@ HOW = (
 )
 
 
-def _group(runs: Sequence[Run]) -> Group:
+def _group(runs: Sequence[FinishedRun]) -> Group:
     return Group("", "", {}, {}, tuple(runs), tuple(places(runs)))
 
 
-def estimates(runs: Sequence[Run]) -> dict[str, Estimate]:
+def estimates(runs: Sequence[FinishedRun]) -> dict[str, Estimate]:
     """Of every milestone of one row, by the name of the quantity."""
     group = _group(runs)
     found: dict[str, Estimate] = {}

@@ -18,7 +18,7 @@ from edtorch.app.rundir import git_commit, json_text, versions
 from edtorch.report import samples
 from edtorch.report.document import median_cell, proportion, ranges
 from edtorch.report.proportions import Proportion, holm, same_rate
-from edtorch.report.runs import STATUS, Run, rates
+from edtorch.report.runs import STATUS, FinishedRun, shares_of
 from edtorch.report.statistics import Spread
 from edtorch.report.tables import Table, as_markdown
 from edtorch.run.checkpoint import write_text
@@ -82,8 +82,8 @@ def beside(here: Mapping[str, Mapping[str, Proportion]], there: Mapping[str, Any
     ]
 
 
-def _shares(run: Run) -> dict[str, Proportion]:
-    found = rates(run.summary)
+def _shares(run: FinishedRun) -> dict[str, Proportion]:
+    found = shares_of(run.summary)
     return {
         name: Proportion(found[key]["count"], found[key]["total"]) for name, key in SHARES.items()
     }

@@ -100,7 +100,9 @@ def test_numbers_are_those_of_the_command_for_the_bicycle(tmp_path: Path) -> Non
     _same_as_command(run, tmp_path / "run")
 
 
-def _loop(policy: edtorch.Policy, env: gymnasium.Env[Any, Any], seed: int) -> tuple[float, int]:
+def _loop(
+    policy: edtorch.LearnedPolicy, env: gymnasium.Env[Any, Any], seed: int
+) -> tuple[float, int]:
     """An episode as a user would write it: its return and its steps."""
     observation, _ = env.reset(seed=seed)
     policy.reset()

@@ -15,7 +15,7 @@ from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters, Transition
 
 
-class Policy:
+class LearnedPolicy:
     """One learned policy.
 
     ``predict`` takes an observation as the environment gives it and returns the action to take, in

@@ -76,7 +76,7 @@ _KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
 
 
 @dataclass(frozen=True)
-class World:
+class WorldArguments:
     """The arguments of ``learn`` that describe the environment; see there."""
 
     dt: float | None = None
@@ -97,7 +97,7 @@ class World:
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
-def domain_of(env: Any, world: World, target: Mapping[str, float]) -> dict[str, Any]:
+def domain_settings(env: Any, world: WorldArguments, target: Mapping[str, float]) -> dict[str, Any]:
     """The node ``domain`` for ``env``: an id, a factory, an environment, or a ``Sim``."""
     if inspect.isclass(env) and hasattr(env, "outcome") and hasattr(env, "observe"):
         env = env()

@@ -33,7 +33,7 @@ def with_objects(config: Mapping[str, Any], changes: Mapping[str, Any]) -> Setti
     return Settings({**config, **changes})
 
 
-def described(node: Any) -> Any:
+def without_objects(node: Any) -> Any:
     """Settings as text can hold them: functions and classes of modules by their full name, so that
     they are found again; of any other object only that there was one."""
     if isinstance(node, Given):
@@ -42,9 +42,9 @@ def described(node: Any) -> Any:
             return {"_target_": name, "_partial_": True}
         return {"given": name}
     if isinstance(node, Mapping):
-        return {str(key): described(value) for key, value in node.items()}
+        return {str(key): without_objects(value) for key, value in node.items()}
     if isinstance(node, list | tuple):
-        return [described(value) for value in node]
+        return [without_objects(value) for value in node]
     return node
 
 

@@ -25,7 +25,7 @@ class Whole:
 
 
 @dataclass(frozen=True)
-class Reward:
+class RewardGroup:
     """``edtorch.rewards.QuadraticReward`` by names of components, physical units: minus weights of
     squared deviations of state and action from their target (a number, or another component), of
     products (cross: triples NAME, NAME, WEIGHT), of components themselves (linear), and of the
@@ -43,7 +43,7 @@ class Reward:
 
 
 @dataclass(frozen=True)
-class Exploration:
+class ExplorationGroup:
     """deviation: scaled standard deviation of what is added to actions; start: that of a newborn
     learner, null: the same; decay: seconds in which the difference falls by e, null: chosen for the
     size of the model."""
@@ -54,7 +54,7 @@ class Exploration:
 
 
 @dataclass(frozen=True)
-class Unroll:
+class UnrollGroup:
     """horizon: steps; dt: seconds a step (derivative form); discount: per second, or per step;
     start: state, of the moment, or origin; start_deviation: scaled standard deviation of the belief
     that it starts from; direction: gradient, regulator or equilibrium (Riccati's, with step=full;
@@ -73,7 +73,7 @@ class Unroll:
 
 
 @dataclass(frozen=True)
-class Schedule:
+class ScheduleGroup:
     """first: tick of the first improvement of the policy; often: seconds up to which every tick
     improves it; every: ticks from one improvement to the next after that.  null: chosen for the
     size of the model, see ``edtorch.learner.schedule.schedule_for``."""
@@ -84,7 +84,7 @@ class Schedule:
 
 
 @dataclass(frozen=True)
-class Observation:
+class ObservationGroup:
     """What the learner knows of how it observes.
 
     unwrap: rad beyond half a turn up to which angles are counted on; null: always wrapped; delay:
@@ -98,14 +98,14 @@ class Observation:
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeGroup:
     """Model and policy see all of the state."""
 
     variant: str = "free"
 
 
 @dataclass(frozen=True)
-class Ramp:
+class RampGroup:
     """component: of the state, by name; start, final: its bound for a newborn learner and later,
     in its unit; decay: seconds; see ``edtorch.learner.limit``."""
 
@@ -117,7 +117,7 @@ class Ramp:
 
 
 @dataclass(frozen=True)
-class Safe(Ramp):
+class SafeGroup(RampGroup):
     """share_start, share: of the limits that a command may use up, for a newborn learner and
     later; deviations: standard deviations to keep off; actions: whether the bounds of the actions
     are kept as well; horizon: steps predicted; dt: seconds a step."""
@@ -133,14 +133,14 @@ class Safe(Ramp):
 
 
 @dataclass(frozen=True)
-class NoInverse:
+class NoInverseGroup:
     """A forward model and a policy of actions."""
 
     variant: str = "none"
 
 
 @dataclass(frozen=True)
-class Inverse:
+class InverseGroup:
     """features: name of those of the inverse model, or a ``_target_``; form, gain, limit: of the
     policy, see ``edtorch.inverse.policy.InversePolicy``; every, recent: see
     ``edtorch.inverse.learner.InverseLearner``; trust_acceleration, trust_speed: see its
@@ -158,7 +158,7 @@ class Inverse:
 
 
 @dataclass(frozen=True)
-class Kinematic(Inverse):
+class KinematicGroup(InverseGroup):
     """Also length, damping and bent: see ``edtorch.inverse.hand.HandCoordinates``."""
 
     variant: str = "kinematic"
@@ -168,14 +168,14 @@ class Kinematic(Inverse):
 
 
 @dataclass(frozen=True)
-class NoOffline:
+class NoOfflineGroup:
     """Learners live through their own experience."""
 
     variant: str = "none"
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedGroup:
     """data: a file, a run's folder, or a list of them; share, order, passes, within: see
     ``edtorch.run.offline.Lessons``, within by name; invalid: refuse or mask, see
     ``edtorch.run.transitions_file``; improve: whether policies are improved while the transitions
@@ -195,14 +195,14 @@ class Recorded:
 
 
 @dataclass(frozen=True)
-class NoRival:
+class NoRivalGroup:
     """The learner, and nothing that searches instead."""
 
     _target_: str | None = None
 
 
 @dataclass(frozen=True)
-class Train:
+class TrainGroup:
     """Per learner, whichever ends first; null: unlimited.  until: of a rival, the milestone at
     which a seed is done as well, stable or goal (``edtorch.run.milestones``)."""
 
@@ -213,7 +213,7 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Eval:
+class EvalGroup:
     """episodes: fresh ones per seed after training; 0: none; keep: further ones, by which the best
     policy so far is kept; 0: the last policy is; minutes: simulated ones after which there are as
     many on the way; domain: settings of the domain that are others meanwhile; success_return: the
@@ -227,7 +227,7 @@ class Eval:
 
 
 @dataclass(frozen=True)
-class Compute:
+class ComputeGroup:
     """precision: auto, float64 or mixed (learner float32, sim float64); threads: of torch in this
     process; compile: auto, on or off; compile_after: ticks before learning goes on compiled;
     device: cpu or cuda."""
@@ -240,7 +240,7 @@ class Compute:
 
 
 @dataclass(frozen=True)
-class Log:
+class LogGroup:
     """every: simulated seconds between two rows; checkpoint: between two saves of everything;
     value_error: whether the rows have the value error estimate; transitions: whether every one is
     kept, for ``transitions.npz``."""
@@ -278,19 +278,19 @@ TARGETED = ("domain", "model", "fit", "policy", "noise", "transform", "step")
 """Groups whose options all name a class."""
 
 UNTARGETED: dict[str, tuple[type, ...]] = {
-    "inverse": (NoInverse, Inverse, Kinematic),
-    "reward": (Reward,),
-    "exploration": (Exploration,),
-    "unroll": (Unroll,),
-    "schedule": (Schedule,),
-    "observation": (Observation,),
-    "command": (Free, Ramp, Safe),
-    "rival": (NoRival,),
-    "offline": (NoOffline, Recorded),
-    "train": (Train,),
-    "eval": (Eval,),
-    "compute": (Compute,),
-    "log": (Log,),
+    "inverse": (NoInverseGroup, InverseGroup, KinematicGroup),
+    "reward": (RewardGroup,),
+    "exploration": (ExplorationGroup,),
+    "unroll": (UnrollGroup,),
+    "schedule": (ScheduleGroup,),
+    "observation": (ObservationGroup,),
+    "command": (FreeGroup, RampGroup, SafeGroup),
+    "rival": (NoRivalGroup,),
+    "offline": (NoOfflineGroup, RecordedGroup),
+    "train": (TrainGroup,),
+    "eval": (EvalGroup,),
+    "compute": (ComputeGroup,),
+    "log": (LogGroup,),
 }
 """By group, the variants of what an option without a class sets; the first where none is given."""
 

@@ -14,7 +14,7 @@ from edtorch.app.reward import QUADRATIC
 from edtorch.app.settings import Settings
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import Coordinates, JointCoordinates
-from edtorch.inverse.features import FEATURES, InverseFeatures
+from edtorch.inverse.features import INVERSE_FEATURES, InverseFeatures
 from edtorch.inverse.generic import GenericInverse
 from edtorch.inverse.hand import HandCoordinates
 from edtorch.inverse.layout import Layout
@@ -35,13 +35,13 @@ def has_inverse(config: Any) -> bool:
 def _features(config: Any, layout: Layout) -> InverseFeatures:
     if isinstance(config, Settings):
         return construct("inverse.features", config, "__call__", layout=layout)
-    if config not in FEATURES:
+    if config not in INVERSE_FEATURES:
         raise ConfigError(
-            f"inverse.features={config}: expected one of {', '.join(FEATURES)},"
+            f"inverse.features={config}: expected one of {', '.join(INVERSE_FEATURES)},"
             " or a mapping with a _target_"
         )
     with under("inverse.features"):
-        return FEATURES[config](layout)
+        return INVERSE_FEATURES[config](layout)
 
 
 def _coordinates(config: Any, layout: Layout, sim: Sim) -> Coordinates:

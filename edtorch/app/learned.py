@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edtorch.app.acting import Policy
+from edtorch.app.acting import LearnedPolicy
 from edtorch.app.best import score
 from edtorch.app.domain import described, measured
 from edtorch.learner.learner import Actor
@@ -69,16 +69,16 @@ class Run:
         return f"<edtorch run: {len(self.seeds)} seeds, {len(self._records)} episodes>"
 
     @cached_property
-    def policies(self) -> list[Policy]:
+    def policies(self) -> list[LearnedPolicy]:
         """The policy of each seed, in the order of ``seeds``."""
         world = self._world()
         return [
-            Policy(world, self._actor, self._of(row), self._observer)
+            LearnedPolicy(world, self._actor, self._of(row), self._observer)
             for row in range(len(self.seeds))
         ]
 
     @cached_property
-    def policy(self) -> Policy:
+    def policy(self) -> LearnedPolicy:
         """The best of ``policies``, by success, then failures, then return in episodes that count
         for nothing else."""
         if not self.seeds:

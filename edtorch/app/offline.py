@@ -33,7 +33,7 @@ from edtorch.run.checkpoint import PolicyCard, write_atomically
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.milestones import FirstSuccess, checkpoint
-from edtorch.run.offline import Lessons, Offline, learn
+from edtorch.run.offline import Lessons, Offline
 from edtorch.run.transitions_file import Invalid, Recorded, joined, load_transitions
 from edtorch.types import Parameters
 from sims.base import Outcome
@@ -254,7 +254,7 @@ class RecordedLearners(Work):
         for line in self._job.masked:
             logger.warning("masked: %s", line)
         due = self._log_every
-        for _ in learn(self._offline, self._job.steps, _PIECE):
+        for _ in self._offline.learn(self._job.steps, _PIECE):
             job.pause()
             if self.seconds >= due:
                 due += self._log_every

@@ -47,7 +47,7 @@ def save_results(job: Job, folder: Path, board: TensorBoardSink | None) -> dict[
     return summary
 
 
-class Memory:
+class Replay:
     """Keeps the progress of a run, to write it later."""
 
     def __init__(self) -> None:
@@ -67,7 +67,7 @@ class Memory:
                 sink.write(entry)
 
 
-def write_run(job: Job, memory: Memory, path: Path, *, interrupted: bool) -> None:
+def write_run(job: Job, memory: Replay, path: Path, *, interrupted: bool) -> None:
     """Write the complete folder of a run that is over, as ``edtorch-train`` leaves it."""
     path.mkdir(parents=True, exist_ok=True)
     folder = RunFolder(path, "folder")

@@ -37,7 +37,7 @@ from edtorch.rivals.runs import SLOTS, Runs, can_try, evaluator, fresh_episodes
 from edtorch.run.checkpoint import PolicyCard
 from edtorch.run.episodes import Budget, Episode
 from edtorch.run.evaluation import evaluate
-from edtorch.run.log import Entry, median
+from edtorch.run.log import Entry, median_known
 from edtorch.run.milestones import MILESTONES, Checkpoint, FirstSuccess
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
@@ -266,8 +266,8 @@ class Rivals(Work):
     def _entry(self, fresh: dict[int, Checkpoint], count: int) -> Entry:
         """The checkpoints of the seeds that went on, the ``count``-th."""
         words, accounts = self._domain.words, self._search.accounts
-        seconds = median([c.seconds for c in fresh.values()])
-        failures = median([float(c.failures) for c in fresh.values()])
+        seconds = median_known([c.seconds for c in fresh.values()])
+        failures = median_known([float(c.failures) for c in fresh.values()])
         stable = sum(c.stable for c in fresh.values())
         goal = sum(c.to_the_goal for c in fresh.values())
         rows = [

@@ -18,7 +18,7 @@ from typing import Any
 
 from edtorch.app.compose import as_yaml, read_yaml
 from edtorch.app.errors import ConfigError, no_such_folder
-from edtorch.app.given import described
+from edtorch.app.given import without_objects
 from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
 from edtorch.run.checkpoint import FileProblem, write_text
@@ -69,7 +69,7 @@ def json_text(content: Any) -> str:
 
 def settings_text(config: Settings) -> str:
     """The text of ``config.yaml``."""
-    return as_yaml(described(config))
+    return as_yaml(without_objects(config))
 
 
 class RunFolder:

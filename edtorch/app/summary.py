@@ -32,7 +32,7 @@ from edtorch.run.success import settled
 from edtorch.run.training import Training
 from edtorch.types import LearnerState
 
-PARTS = ("wall", "cpu", "startup", "eval", "figures")
+_PARTS = ("wall", "cpu", "startup", "eval", "figures")
 
 
 @dataclass
@@ -57,7 +57,7 @@ class Timing:
 
     def as_json(self) -> dict[str, Any]:
         """For ``summary.json``."""
-        seconds = {f"{name}_s": getattr(self, f"{name}_s") for name in PARTS}
+        seconds = {f"{name}_s": getattr(self, f"{name}_s") for name in _PARTS}
         return {"ticks": self.ticks, "ticks_per_cpu_s": self.ticks_per_cpu_s, **seconds}
 
 

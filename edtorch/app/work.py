@@ -33,7 +33,7 @@ logger = logging.getLogger("edtorch")
 Begin = Callable[[], Work]
 
 
-def prepared(config: Settings) -> tuple[list[int], Begin]:
+def planned(config: Settings) -> tuple[list[int], Begin]:
     """The seeds, and what begins the work that the configuration asks for.  Raises ConfigError."""
     if is_offline(config):
         offline = build_offline(config)
@@ -107,7 +107,7 @@ def headline(summary: dict[str, Any]) -> float:
 
 def run(config: Settings, folder: RunFolder, stop: Stop, began: float) -> dict[str, Any]:
     """The job from configuration to table; the folder says at any time what has become of it."""
-    seeds, begin = prepared(config)
+    seeds, begin = planned(config)
     torch.set_num_threads(config.compute.threads)
     folder.begin(config, seeds)
     try:

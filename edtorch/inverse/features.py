@@ -152,7 +152,7 @@ def _outer(a: Tensor, b: Tensor) -> Tensor:
     return (a.unsqueeze(-1) * b.unsqueeze(-2)).flatten(-2)
 
 
-FEATURES: Mapping[str, Callable[[Layout], InverseFeatures]] = {
+INVERSE_FEATURES: Mapping[str, Callable[[Layout], InverseFeatures]] = {
     "linear": Linear,
     "pairwise": PairwiseProducts,
     "structured": Structured,

@@ -14,7 +14,7 @@ from edtorch.policy.policies import Policy, limited
 from edtorch.seeding import Purpose
 from edtorch.types import Parameters
 
-RESERVED = ("limit", "model")
+_RESERVED = ("limit", "model")
 """Names that stand for something else beside a policy's parameters."""
 
 
@@ -35,7 +35,7 @@ class ModulePolicy(nn.Module):
         self.names = [n for n, p in self.module.named_parameters() if p.requires_grad]
         if not self.names:
             raise ValueError(f"{self.label} has no parameter that requires a gradient")
-        for name in RESERVED:
+        for name in _RESERVED:
             if name in self.names:
                 raise ValueError(f"{self.label} has a parameter called {name!r}: rename it")
         for lead in ((), (3,)):

@@ -11,7 +11,7 @@ from edtorch.report import samples
 from edtorch.report.groups import Group, Section
 from edtorch.report.proportions import Proportion, same_rate
 from edtorch.report.quantities import Quantity, quantities, sample, succeeded, zero_failures
-from edtorch.report.runs import rates
+from edtorch.report.runs import shares_of
 from edtorch.report.samples import Interval, Sample
 
 ZERO_FAILURES, SUCCEEDED = "zero_failure_rate", "succeeded"
@@ -187,7 +187,7 @@ def _shares(own: Mapping[str, Proportion], base: Row | None) -> dict[str, Share]
 def _compare_searches(section: Section) -> Comparison:
     rows: list[Row] = []
     for group in section.groups:
-        runs = [rates(run.summary) for run in group.runs]
+        runs = [shares_of(run.summary) for run in group.runs]
         pooled = {
             name: Proportion(
                 sum(run[name]["count"] for run in runs), sum(run[name]["total"] for run in runs)

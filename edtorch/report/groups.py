@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from edtorch.report.domain import Domain, ReturnOf
-from edtorch.report.runs import FIRST, LeftOut, Run, Settings
+from edtorch.report.runs import FIRST, FinishedRun, FlatSettings, LeftOut
 
-Defaults = Callable[[Settings], Settings]
+Defaults = Callable[[FlatSettings], FlatSettings]
 """From the settings of a run to those that it does not name, with the values they have today."""
 
 
@@ -44,7 +44,7 @@ class Place:
     """Where the figures of a seed stand: of this run, in this row."""
 
     seed: int
-    run: Run
+    run: FinishedRun
     row: int
 
 
@@ -56,8 +56,8 @@ class Group:
     label: str
     name: str
     differing: Mapping[str, Any]
-    settings: Settings
-    runs: tuple[Run, ...]
+    settings: FlatSettings
+    runs: tuple[FinishedRun, ...]
     places: tuple[Place, ...]
 
     @property
@@ -103,7 +103,7 @@ class Section:
         return f"{self.domain}: {'searches' if self.searches else 'learners'}"
 
 
-def telling(settings: Settings) -> dict[str, Any]:
+def telling(settings: FlatSettings) -> dict[str, Any]:
     """Without those that change no figure."""
 
     def tells(key: str) -> bool:
@@ -113,14 +113,14 @@ def telling(settings: Settings) -> dict[str, Any]:
 
 
 def sections(
-    runs: Sequence[Run], defaults: Defaults, *, baseline: str | None, by_folder: bool
+    runs: Sequence[FinishedRun], defaults: Defaults, *, baseline: str | None, by_folder: bool
 ) -> tuple[list[Section], list[LeftOut]]:
     """Sort the runs; the first group of each section is what the others are compared with.
 
     baseline: label or folder of the group that is to be first; by_folder: labels are the names of
     folders.  Raises BaselineUnknown for a baseline that no group answers to.
     """
-    kinds: dict[tuple[str, str, bool], list[Run]] = {}
+    kinds: dict[tuple[str, str, bool], list[FinishedRun]] = {}
     for run in runs:
         kind = (run.settings["domain._target_"], _name(run), run.is_search)
         kinds.setdefault(kind, []).append(run)
@@ -128,7 +128,7 @@ def sections(
     names = _short_names([run.path for run in runs])
     made, found, known = [], baseline is None, []
     for (_, domain, searches), members in kinds.items():
-        pools: dict[str, tuple[dict[str, Any], list[Run]]] = {}
+        pools: dict[str, tuple[dict[str, Any], list[FinishedRun]]] = {}
         for run in members:
             settings = telling({**defaults(run.settings), **run.settings})
             # Numbers that are equal are written alike: 10 and 10.0 are one setting.
@@ -167,7 +167,7 @@ def sections(
     return made, left_out
 
 
-def _name(run: Run) -> str:
+def _name(run: FinishedRun) -> str:
     """Of its domain: the class, or which of the many environments that the class can be."""
     target = str(run.settings["domain._target_"]).rpartition(".")[2]
     return str(run.settings.get("domain.env_id", target))
@@ -177,10 +177,10 @@ def _plain(value: Any) -> Any:
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
-def _pool(runs: list[Run], left_out: list[LeftOut]) -> list[Run]:
+def _pool(runs: list[FinishedRun], left_out: list[LeftOut]) -> list[FinishedRun]:
     """The runs that add a seed; what repeats one is named."""
-    kept: list[Run] = []
-    owners: dict[int, Run] = {}
+    kept: list[FinishedRun] = []
+    owners: dict[int, FinishedRun] = {}
     for run in runs:
         repeated = [seed for seed in run.seeds if seed in owners]
         if repeated:
@@ -198,7 +198,7 @@ def _pool(runs: list[Run], left_out: list[LeftOut]) -> list[Run]:
     return kept
 
 
-def _figures(run: Run, seeds: list[int]) -> list[Any]:
+def _figures(run: FinishedRun, seeds: list[int]) -> list[Any]:
     """What tells whether two runs of a seed went alike."""
     if run.is_search:
         return [{k: v for k, v in run.summary.items() if isinstance(v, dict) and "count" in v}]
@@ -207,7 +207,7 @@ def _figures(run: Run, seeds: list[int]) -> list[Any]:
     return [[column[row] for column in columns if column is not None] for row in rows]
 
 
-def _figures_of(owners: Mapping[int, Run], seeds: list[int]) -> list[Any]:
+def _figures_of(owners: Mapping[int, FinishedRun], seeds: list[int]) -> list[Any]:
     return [figures for seed in seeds for figures in _figures(owners[seed], [seed])]
 
 
@@ -217,7 +217,7 @@ def _listed(seeds: Sequence[int], most: int = 8) -> str:
     return f"seed{'s' if len(seeds) > 1 else ''} {shown}{more}"
 
 
-def places(runs: Sequence[Run]) -> list[Place]:
+def places(runs: Sequence[FinishedRun]) -> list[Place]:
     """Of every seed once, in order."""
     found: dict[int, Place] = {}
     for run in runs:
@@ -241,7 +241,7 @@ def _short_names(paths: Sequence[Path]) -> dict[Path, str]:
     return names
 
 
-def _differing(every: Sequence[Settings]) -> list[str]:
+def _differing(every: Sequence[FlatSettings]) -> list[str]:
     """The settings in which the groups differ.
 
     Where two groups have different objects somewhere (``fit._target_``), the object's name tells
@@ -250,7 +250,7 @@ def _differing(every: Sequence[Settings]) -> list[str]:
     keys = sorted({key for settings in every for key in settings})
     targets = [key for key in keys if key.endswith("._target_")]
 
-    def kin(key: str, settings: Settings) -> tuple[Any, ...]:
+    def kin(key: str, settings: FlatSettings) -> tuple[Any, ...]:
         above = [t for t in targets if key != t and key.startswith(t.removesuffix("_target_"))]
         return tuple(settings.get(t) for t in above)
 
@@ -275,7 +275,7 @@ def shown(key: str, value: Any) -> str:
     return f"{key}={json.dumps(value) if isinstance(value, bool | None) else value}"
 
 
-def _titles(pooled: Sequence[Sequence[Run]], names: Mapping[Path, str]) -> list[str]:
+def _titles(pooled: Sequence[Sequence[FinishedRun]], names: Mapping[Path, str]) -> list[str]:
     """Of each group: the folder that holds all of its runs, if it has several and no other group
     has one there, else that of its first run."""
     parents = [{run.path.parent for run in members} for members in pooled]
@@ -289,7 +289,7 @@ def _titles(pooled: Sequence[Sequence[Run]], names: Mapping[Path, str]) -> list[
 
 
 def _labels(
-    every: Sequence[Settings],
+    every: Sequence[FlatSettings],
     differing: Sequence[str],
     titles: Sequence[str],
     first: int,

@@ -13,7 +13,7 @@ from edtorch.report.samples import Sample
 from sims.base import Words
 
 EVALUATION = "evaluation: "
-MILESTONES = "milestones"
+_MILESTONES = "milestones"
 """Where they stand in ``summary.json``."""
 
 
@@ -46,7 +46,7 @@ class Quantity:
     @property
     def milestone(self) -> str:
         """Which one it belongs to; "" for none."""
-        return self.path[1] if self.path[0] == MILESTONES else ""
+        return self.path[1] if self.path[0] == _MILESTONES else ""
 
 
 SUCCESS = "success"
@@ -144,12 +144,12 @@ def to_milestone(name: str, domain: Domain) -> tuple[Quantity, ...]:
     to = TITLES[name]
 
     def paid(key: str, what: str, digits: int) -> Quantity:
-        path = (MILESTONES, name, key)
+        path = (_MILESTONES, name, key)
         return Quantity(path, f"{what} to {to}", what, digits, until=name)
 
     there = tuple(
         Quantity(
-            (MILESTONES, name, m.name),
+            (_MILESTONES, name, m.name),
             f"{m.with_unit}: the first policy at {to}",
             m.with_unit,
             after=name,
@@ -185,7 +185,7 @@ FAILURES = (
     ("training", "failure_rate"),
     ("failures_before_first_success",),
     ("failures_after_first_success",),
-    *((MILESTONES, name, "failures") for name in TITLES),
+    *((_MILESTONES, name, "failures") for name in TITLES),
 )
 """Paths of the figures that count failures."""
 
@@ -238,7 +238,7 @@ def quantities(section: Section) -> list[Quantity]:
 
 def never_there(group: Group, place: str = SUCCESS) -> list[bool]:
     """Of each seed of a group, whether it never succeeded, or never was at a milestone."""
-    keys = ("never_succeeded",) if place == SUCCESS else (MILESTONES, place, "never")
+    keys = ("never_succeeded",) if place == SUCCESS else (_MILESTONES, place, "never")
     return [seat.seed in _found(seat.run.summary, keys) for seat in group.places]
 
 

@@ -24,8 +24,8 @@ from edtorch.report.statistics import GENERIC
 CONFIG, SUMMARY, STATUS, ABOUT = "config.yaml", "summary.json", "status.json", "run.json"
 ABOUT_KINDS: dict[str, type] = {"versions": dict, "command": str, "git": str}
 """What is only shown, wherever it stands."""
-Settings = Mapping[str, Any]
-Known = Callable[[Settings], Domain | None]
+FlatSettings = Mapping[str, Any]
+Known = Callable[[FlatSettings], Domain | None]
 """From the settings of a run whose summary does not describe its domain to the domain, if known."""
 
 
@@ -42,7 +42,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Run:
+class FinishedRun:
     """A finished run.
 
     settings: every leaf of its configuration by its full key; summary: in the keys of today; about:
@@ -50,7 +50,7 @@ class Run:
     """
 
     path: Path
-    settings: Settings
+    settings: FlatSettings
     summary: Mapping[str, Any]
     about: Mapping[str, Any]
     domain: Domain
@@ -125,11 +125,11 @@ def _runs_under(folder: Path) -> list[Path]:
     return found
 
 
-def _nothing(settings: Settings) -> None:
+def _nothing(settings: FlatSettings) -> None:
     return None
 
 
-def load(path: Path, known: Known = _nothing) -> Run:
+def load_run(path: Path, known: Known = _nothing) -> FinishedRun:
     """Raises Unusable."""
     status = _json(path / STATUS) if (path / STATUS).exists() else None
     if status is not None and status.get("status") != "done":
@@ -148,12 +148,12 @@ def load(path: Path, known: Known = _nothing) -> Run:
     domain = _domain(summary, settings, known)
     if "domain" not in summary:
         summary = legacy.modern(summary, domain)
-    run = Run(path, settings, summary, about, domain)
+    run = FinishedRun(path, settings, summary, about, domain)
     (_check_search if run.is_search else _check_learning)(summary)
     return run
 
 
-def _domain(summary: Mapping[str, Any], settings: Settings, known: Known) -> Domain:
+def _domain(summary: Mapping[str, Any], settings: FlatSettings, known: Known) -> Domain:
     if "domain" not in summary:
         name = str(settings["domain._target_"]).rpartition(".")[2]
         return known(settings) or legacy.old_domain(name, summary)
@@ -164,13 +164,15 @@ def _domain(summary: Mapping[str, Any], settings: Settings, known: Known) -> Dom
         raise Unusable(f"corrupted: {SUMMARY}: {why}") from error
 
 
-def load_all(folders: Sequence[Path], known: Known = _nothing) -> tuple[list[Run], list[LeftOut]]:
+def load_all(
+    folders: Sequence[Path], known: Known = _nothing
+) -> tuple[list[FinishedRun], list[LeftOut]]:
     """The finished runs in and under the folders, and what cannot be used."""
     paths, left_out = find(folders)
-    runs: list[Run] = []
+    runs: list[FinishedRun] = []
     for path in paths:
         try:
-            runs.append(load(path, known))
+            runs.append(load_run(path, known))
         except Unusable as error:
             left_out.append(LeftOut(path, str(error)))
     return runs, left_out
@@ -313,17 +315,17 @@ RATE = ("count", "total")
 
 
 def _check_search(summary: Mapping[str, Any]) -> None:
-    if not isinstance(summary.get("seed"), int) or not rates(summary):
+    if not isinstance(summary.get("seed"), int) or not shares_of(summary):
         raise Unusable(
             f"{SUMMARY}: expected the figures of learners (seeds) or of a search (seed and shares)"
         )
-    for key, share in rates(summary).items():
+    for key, share in shares_of(summary).items():
         count, total = (share[name] for name in RATE)
         if not (_is_list_of(int, [count, total]) and 0 <= count <= total and total > 0):
             raise Unusable(f"corrupted: {SUMMARY}: {key}: expected a count out of a total")
 
 
-def rates(summary: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+def shares_of(summary: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """The shares in the summary of a search, by name."""
     return {
         key: value

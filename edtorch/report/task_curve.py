@@ -16,7 +16,7 @@ from sims.base import Outcome
 COLOURS = ("#2a6fb3", "#b3402a", "#3d8c4f", "#8a5ab3")
 PANELS = 2
 """So many of the measures that a domain declares first are shown."""
-FAILURES = "failure_rate"
+FAILURE_RATE = "failure_rate"
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Curve:
 
 
 def curve(episodes: Sequence[Episode], rows: int, spans: int, measure: str) -> Curve:
-    """That of a measure, or of the share of episodes that failed, ``FAILURES``."""
+    """That of a measure, or of the share of episodes that failed, ``FAILURE_RATE``."""
     ends = np.array([e.start + e.seconds for e in episodes])
     owners = np.array([e.row for e in episodes])
-    if measure == FAILURES:
+    if measure == FAILURE_RATE:
         values = np.array([float(e.outcome is Outcome.FAILED) for e in episodes])
     else:
         values = np.array([e.measures[measure] for e in episodes])
@@ -62,7 +62,7 @@ def task_curve(
     seeds, bands their quartiles.
     """
     shown = domain.measures[:PANELS]
-    names = [*(measure.name for measure in shown), FAILURES]
+    names = [*(measure.name for measure in shown), FAILURE_RATE]
     figure = Figure(figsize=(8, 3 * len(names)), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]

@@ -31,7 +31,7 @@ from edtorch.types import Parameters, Transition, replace, select
 from edtorch.value.linear.lqr import doubled_lqr
 from sims.base import Outcome
 
-SECONDS_BETWEEN_PAUSES = 0.5
+_SECONDS_BETWEEN_PAUSES = 0.5
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class AdaptiveLqrSearch(LinearSearch):
                 self._clock, self._here = happened.clock, happened.population
                 self._weight = self._here.learners["gain"]
                 self._pay(rows, happened)
-                if time.monotonic() - paused > SECONDS_BETWEEN_PAUSES:
+                if time.monotonic() - paused > _SECONDS_BETWEEN_PAUSES:
                     paused = time.monotonic()
                     pause()
 

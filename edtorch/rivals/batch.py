@@ -86,7 +86,7 @@ class BatchSettings:
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""
         if self.steps is not None:
-            at_least("steps", self.steps, 1)
+            check_at_least("steps", self.steps, 1)
         if not 0 <= self.discount < 1:
             raise ValueError(f"discount={self.discount}: expected a number in [0, 1)")
         for name in REWARDS:
@@ -100,7 +100,7 @@ class BatchSettings:
 REWARDS = ("reward_square", "reward_size", "reward_cosine")
 
 
-def at_least(name: str, value: int, least: int) -> None:
+def check_at_least(name: str, value: int, least: int) -> None:
     """Raises ValueError for an integer that is too small."""
     if value < least:
         raise ValueError(f"{name}={value}: expected an integer >= {least}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
-class Lesson:
+class Decisions:
     """How a world is put to an algorithm.
 
     copies: episodes side by side; repeat: ticks that an action lasts; failure_penalty: what a
@@ -49,9 +49,9 @@ class DeepSettings:
         """Decisions of the piece of work with this number, from 0 on."""
         return round(self.steps * self.growth**number)
 
-    def lesson(self, copies: int) -> Lesson:
+    def lesson(self, copies: int) -> Decisions:
         """How the world is put to so many copies of an episode."""
-        return Lesson(copies, self.repeat, self.failure_penalty, self.reward_scale)
+        return Decisions(copies, self.repeat, self.failure_penalty, self.reward_scale)
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments; ModuleNotFoundError without stable-baselines3."""

@@ -22,7 +22,7 @@ from edtorch.rivals.batch import (
     BatchSettings,
     Transitions,
     action_set,
-    at_least,
+    check_at_least,
     check_rewards,
     collect,
     rewards,
@@ -56,10 +56,10 @@ class FittedQ(BatchSettings):
         """Refuse impossible arguments."""
         super().__post_init__()
         for name in ("episodes", "iterations", "every", "trees"):
-            at_least(name, getattr(self, name), 1)
+            check_at_least(name, getattr(self, name), 1)
         if self.rebuilt is not None:
-            at_least("rebuilt", self.rebuilt, 1)
-        at_least("smallest", self.smallest, 2)
+            check_at_least("rebuilt", self.rebuilt, 1)
+        check_at_least("smallest", self.smallest, 2)
 
     def begin(self, problem: Problem) -> FittedQSearch:
         """Raises ValueError, which names the setting, for a problem that it cannot take."""

@@ -20,7 +20,7 @@ from edtorch.rivals.batch import (
     BatchSettings,
     Transitions,
     action_set,
-    at_least,
+    check_at_least,
     check_rewards,
     choices,
     collect,
@@ -55,7 +55,7 @@ class Lspi(BatchSettings):
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""
         super().__post_init__()
-        at_least("iterations", self.iterations, 1)
+        check_at_least("iterations", self.iterations, 1)
         if not self.ridge > 0:
             raise ValueError(f"ridge={self.ridge}: expected a number > 0")
         rising = [1, *self.episodes]

@@ -374,10 +374,10 @@ def search(
         latest[which] = progress
         report(sum(latest, Progress()))
 
-    return merged(in_processes(shares, report_sum))
+    return combined(in_processes(shares, report_sum))
 
 
-def merged(parts: list[SearchResult]) -> SearchResult:
+def combined(parts: list[SearchResult]) -> SearchResult:
     """One result of several, by the numbers of the policies."""
     order = torch.cat([part.policy for part in parts]).argsort()
     return SearchResult(

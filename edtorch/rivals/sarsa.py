@@ -372,7 +372,7 @@ LearningLoop = Callable[
 later, at most ``CHUNK``; memory is changed in place."""
 
 
-def looped(tick: _Tick) -> LearningLoop:
+def learning_loop(tick: _Tick) -> LearningLoop:
     """One tick after the other."""
 
     def advance(
@@ -388,7 +388,7 @@ def looped(tick: _Tick) -> LearningLoop:
 
 
 def in_graph(tick: _Tick) -> LearningLoop:
-    """``looped`` as a loop in the graph: one tick to compile, however many there are to run."""
+    """The same as a loop in the graph: one tick to compile, however many there are to run."""
 
     def advance(
         memory: _Memory, moment: tuple[Tensor, ...], going: Tensor, clock: Tensor, count: Tensor
@@ -486,5 +486,5 @@ def _program(tick: _Tick, world: World, mode: CompileMode) -> LearningLoop:
             f"{world.spec.name} is not of tensors alone: compute.compile=auto or off"
         )
     if mode == "off" or not traceable:
-        return looped(tick)
+        return learning_loop(tick)
     return compiled(in_graph(tick), mode=mode)

@@ -24,7 +24,7 @@ from torch import Tensor, nn
 from edtorch.learner.learner import Actor
 from edtorch.rewards import Reward
 from edtorch.rivals.base import Problem
-from edtorch.rivals.deep import Lesson
+from edtorch.rivals.deep import Decisions
 from edtorch.rivals.ledger import Account
 from edtorch.rivals.networks import Networks, stacked
 from edtorch.run.random import Purpose, Streams, stream_key
@@ -77,7 +77,7 @@ class WorldEnvs(VecEnv):
     """
 
     def __init__(
-        self, world: World, reward: Reward, lesson: Lesson, seed: int, account: Account
+        self, world: World, reward: Reward, lesson: Decisions, seed: int, account: Account
     ) -> None:
         self._world = world
         self._reward = reward
@@ -245,7 +245,7 @@ class BaselinesSearch:
     def __init__(
         self,
         problem: Problem,
-        lesson: Lesson,
+        lesson: Decisions,
         piece: Callable[[int], int],
         make: Callable[[VecEnv, int], BaseAlgorithm],
         layers: Callable[[Any], Sequence[nn.Linear]],

@@ -66,7 +66,7 @@ def finite(values: Sequence[float]) -> list[float]:
     return [v for v in values if math.isfinite(v)]
 
 
-def median(values: Sequence[float]) -> float:
+def median_known(values: Sequence[float]) -> float:
     """Median of the values that are numbers; NaN if none is."""
     numbers = finite(values)
     return statistics.median(numbers) if numbers else math.nan
@@ -234,32 +234,34 @@ class Snapshots:
 
     def _scalars(self, snapshot: Snapshot, episodes: Sequence[Episode]) -> dict[str, float]:
         scalars: dict[str, float] = {
-            "learning/value": median(snapshot.value),
-            "learning/gradient": median(snapshot.gradient),
-            "learning/model_error": median(snapshot.error),
-            "learning/policy_norm": median(snapshot.policy_norm),
+            "learning/value": median_known(snapshot.value),
+            "learning/gradient": median_known(snapshot.gradient),
+            "learning/model_error": median_known(snapshot.error),
+            "learning/policy_norm": median_known(snapshot.policy_norm),
             "population/active": float(sum(snapshot.active)),
         }
         if snapshot.value_error is not None:
-            scalars["learning/value error estimate"] = median(snapshot.value_error)
+            scalars["learning/value error estimate"] = median_known(snapshot.value_error)
         words = self._words
         named = {words.failures: snapshot.failures, words.successes: snapshot.successes}
         for name, numbers in named.items():
             counts = [float(v) for v in numbers]
             scalars |= {
-                f"{name}/median": median(counts),
+                f"{name}/median": median_known(counts),
                 f"{name}/min": min(counts),
                 f"{name}/max": max(counts),
             }
         if episodes:
             lengths = [e.seconds for e in episodes]
             scalars |= {
-                "episodes/seconds_median": median(lengths),
+                "episodes/seconds_median": median_known(lengths),
                 "episodes/seconds_max": max(lengths),
-                "episodes/return": median([e.total_reward for e in episodes]),
+                "episodes/return": median_known([e.total_reward for e in episodes]),
             }
             for measure in episodes[0].measures:
-                scalars[f"episodes/{measure}"] = median([e.measures[measure] for e in episodes])
+                scalars[f"episodes/{measure}"] = median_known(
+                    [e.measures[measure] for e in episodes]
+                )
         return scalars
 
     def _line(self, snapshot: Snapshot) -> str:
@@ -268,7 +270,7 @@ class Snapshots:
         self._last_seconds, self._last_time = snapshot.seconds, now
         return (
             f"{snapshot.seconds:6.0f} s  {self._counts(snapshot)}  "
-            f"value {median(snapshot.value):.3g}  "
+            f"value {median_known(snapshot.value):.3g}  "
             f"{sum(snapshot.active)}/{len(snapshot.seeds)} learning  {speed:.0f} s per s"
         )
 
@@ -286,7 +288,7 @@ class Snapshots:
 
 
 def _spread(counts: Sequence[int]) -> str:
-    return f"{median(counts):g} [{min(counts)}, {max(counts)}]"
+    return f"{median_known(counts):g} [{min(counts)}, {max(counts)}]"
 
 
 def spread_scalars(group: str, figures: Mapping[str, Any]) -> dict[str, float]:

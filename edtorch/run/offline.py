@@ -29,7 +29,7 @@ from sims.base import Outcome
 
 EpisodeSharing = Literal["own", "all", "bootstrap"]
 Order = Literal["recorded", "shuffled"]
-BLOCK = 512
+_BLOCK = 512
 """Transitions of each learner that are brought together at once."""
 
 
@@ -241,14 +241,28 @@ class Offline:
                 self._tick()
         return ahead
 
+    def learn(self, steps: int, every: int) -> Iterator[None]:
+        """All transitions, then up to ``steps`` improvements; yields after each ``every`` of
+        either."""
+        while not self.all_seen:
+            self.advance(every)
+            yield
+        left = steps
+        while left > 0 and bool(self.moving.any()):
+            left -= self.climb(min(every, left))
+            yield
+
     def _mode(self) -> torch.no_grad | torch.inference_mode:
         return torch.no_grad() if self.learner.needs_autograd else torch.inference_mode()
 
     def _fetch(self, block: int) -> None:
-        """Bring the transitions of a block together, ``[BLOCK, B, ...]``."""
-        first = block * BLOCK
+        """Bring the transitions of a block together, ``[_BLOCK, B, ...]``."""
+        first = block * _BLOCK
         rows = np.stack(
-            [own[np.minimum(np.arange(first, first + BLOCK), len(own) - 1)] for own in self._order],
+            [
+                own[np.minimum(np.arange(first, first + _BLOCK), len(own) - 1)]
+                for own in self._order
+            ],
             axis=1,
         )
         index = torch.from_numpy(rows).to(self.world.device)
@@ -257,7 +271,7 @@ class Offline:
         self._block = block
 
     def _tick(self) -> None:
-        block, row = divmod(self.clock, BLOCK)
+        block, row = divmod(self.clock, _BLOCK)
         if block != self._block:
             self._fetch(block)
         state, action, next_state = (part[row] for part in self._here)
@@ -353,14 +367,3 @@ class Offline:
 
 def _where(mask: Tensor, yes: Parameters, no: Parameters) -> Parameters:
     return {name: select(mask, yes[name], no[name]) for name in no}
-
-
-def learn(offline: Offline, steps: int, every: int) -> Iterator[None]:
-    """All transitions, then up to ``steps`` improvements; yields after each ``every`` of either."""
-    while not offline.all_seen:
-        offline.advance(every)
-        yield
-    left = steps
-    while left > 0 and bool(offline.moving.any()):
-        left -= offline.climb(min(every, left))
-        yield

@@ -13,7 +13,7 @@ from edtorch.run.rollout import Happened
 from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 
-BLOCK = 512
+_BLOCK = 512
 """Ticks for which there is room at once."""
 
 
@@ -52,13 +52,13 @@ class Recorder:
 
     def add(self, happened: Happened[Any]) -> None:
         """One more tick."""
-        row = self._ticks % BLOCK
+        row = self._ticks % _BLOCK
         if row == 0:
             width = 2 * self._n + len(self._world.spec.action)
             kind = torch.float64
-            self._numbers.append(torch.empty(BLOCK, self._size, width, dtype=kind))
-            self._episodes.append(torch.empty(BLOCK, self._size, dtype=torch.int32))
-            self._outcomes.append(torch.empty(BLOCK, self._size, dtype=torch.int8))
+            self._numbers.append(torch.empty(_BLOCK, self._size, width, dtype=kind))
+            self._episodes.append(torch.empty(_BLOCK, self._size, dtype=torch.int32))
+            self._outcomes.append(torch.empty(_BLOCK, self._size, dtype=torch.int8))
         transition, numbers = happened.transition, self._numbers[-1][row]
         numbers[:, : self._n] = transition.state
         numbers[:, self._n : -self._n] = transition.action

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from edtorch.linalg import symmetric_eigen
 
-TOLERANCE = 1e-12
-"""Eigenvalues above -TOLERANCE times the largest count as rounding."""
+_TOLERANCE = 1e-12
+"""Eigenvalues above -_TOLERANCE times the largest count as rounding."""
 
 
 def symmetric(matrix: Tensor) -> Tensor:
@@ -35,8 +35,8 @@ def floored(cov: Tensor) -> Floored:
     Rows that are not finite are returned unchanged, for the caller's checks to find.
     """
     values, vectors = symmetric_eigen(cov.detach())
-    # In float32 rounding itself is larger than TOLERANCE.
-    tolerance = max(TOLERANCE, 10 * torch.finfo(cov.dtype).eps)
+    # In float32 rounding itself is larger than _TOLERANCE.
+    tolerance = max(_TOLERANCE, 10 * torch.finfo(cov.dtype).eps)
     began = values[..., 0] < -tolerance * values.abs().amax(-1)
     lift = (vectors * (-values).clamp(min=0).unsqueeze(-2)) @ vectors.mT
     return Floored(torch.where(began[..., None, None], symmetric(cov + lift), cov), began)

@@ -25,7 +25,7 @@ from edtorch.rewards import Reward
 from edtorch.transform.base import Transform
 from edtorch.types import Belief, Trajectory
 
-TOLERANCE = 1e-8
+_TOLERANCE = 1e-8
 """Relative; in float32, where rounding is larger, 100 times the type's precision."""
 
 
@@ -50,7 +50,7 @@ def check_covariance(name: str, cov: Tensor) -> None:
     tolerance, relative to the largest entry and the largest eigenvalue.
     """
     _expect_finite(name, cov)
-    tolerance = max(TOLERANCE, 100 * torch.finfo(cov.dtype).eps)
+    tolerance = max(_TOLERANCE, 100 * torch.finfo(cov.dtype).eps)
     difference = (cov - cov.mT).abs()
     bad = difference > tolerance * cov.abs().amax((-2, -1), keepdim=True)
     if bool(bad.any()):

@@ -179,9 +179,9 @@ def test_the_bicycle_of_the_file_is_that_of_the_constructor() -> None:
 
 # What the fields of a group without a class are handed to, and what else that gets.
 DIRECT = [
-    (groups.Train, Budget, set[str]()),
-    (groups.Unroll, Horizon, {"steps", "unit"}),
-    (groups.Inverse, InversePolicy, {"layout"}),
+    (groups.TrainGroup, Budget, set[str]()),
+    (groups.UnrollGroup, Horizon, {"steps", "unit"}),
+    (groups.InverseGroup, InversePolicy, {"layout"}),
 ]
 
 

@@ -12,7 +12,7 @@ pytest.importorskip(
     "pytorch_kinematics", reason="the extra [cardea] is not installed: no pytorch-kinematics"
 )
 
-from edtorch.inverse.features import FEATURES
+from edtorch.inverse.features import INVERSE_FEATURES
 from edtorch.inverse.hand import HandCoordinates
 from edtorch.inverse.layout import Layout
 from edtorch.run.evaluation import evaluate_controller
@@ -40,7 +40,7 @@ def _states(count: int, speed: float = 1.0) -> Tensor:
 
 def _unexplained(features: str, speed: float) -> float:
     """Share of the true torques' variation that ridge least squares leaves, on fresh states."""
-    phi = FEATURES[features](LAYOUT)
+    phi = INVERSE_FEATURES[features](LAYOUT)
     state = _states(4000, speed)
     generator = torch.Generator().manual_seed(3)
     acceleration = 4 * torch.randn(4000, 5, generator=generator, dtype=torch.float64)
@@ -61,10 +61,10 @@ def test_structured_features_explain_the_inverse_dynamics() -> None:
 
 
 def test_sizes_of_the_feature_sets() -> None:
-    assert FEATURES["linear"](LAYOUT).outputs == 26
-    assert FEATURES["pairwise"](LAYOUT).outputs == 351
+    assert INVERSE_FEATURES["linear"](LAYOUT).outputs == 26
+    assert INVERSE_FEATURES["pairwise"](LAYOUT).outputs == 351
     state, acceleration = torch.rand(2, 3, 14), torch.rand(2, 3, 5)
-    for make in FEATURES.values():
+    for make in INVERSE_FEATURES.values():
         phi = make(LAYOUT)
         assert phi(state, acceleration).shape == (2, 3, phi.outputs)
 

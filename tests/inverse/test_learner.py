@@ -9,7 +9,7 @@ import torch
 
 from edtorch.inverse.controller import InverseController
 from edtorch.inverse.coordinates import JointCoordinates
-from edtorch.inverse.features import FEATURES
+from edtorch.inverse.features import INVERSE_FEATURES
 from edtorch.inverse.layout import Layout
 from edtorch.inverse.learner import InverseLearner, SampleWeight
 from edtorch.inverse.policy import InversePolicy
@@ -32,7 +32,9 @@ from tests.inverse.arm import Masses
 def _learner(features: str = "linear") -> InverseLearner:
     layout = Layout(Masses().spec)
     policy = InversePolicy(layout)
-    controller = InverseController(policy, FEATURES[features](layout), JointCoordinates(layout))
+    controller = InverseController(
+        policy, INVERSE_FEATURES[features](layout), JointCoordinates(layout)
+    )
     unroll = InverseUnroll(policy, Horizon(25, 0.05, 1.0, 0.05))
     return InverseLearner(controller, unroll, Ridge(), SaturatedStep(0.5, 0.1), exploration=0.1)
 

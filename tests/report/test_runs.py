@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from edtorch.report.runs import Unusable, find, flat, load, load_all
+from edtorch.report.runs import Unusable, find, flat, load_all, load_run
 from tests.report.folders import learners, search
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
@@ -144,7 +144,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_is(tmp_path: Path, name: str)
     good, bad = learners(tmp_path / "good", [1, 2]), learners(tmp_path / "bad", [1, 2])
     damage(bad)
     with pytest.raises(Unusable, match=why):
-        load(bad)
+        load_run(bad)
     runs, left_out = load_all([tmp_path])
     assert [run.path for run in runs] == [good]
     assert [item.path for item in left_out] == [bad]
@@ -155,7 +155,7 @@ def test_shares_that_are_none(tmp_path: Path, share: dict[str, Any]) -> None:
     run = search(tmp_path / "run", 1, 10)
     _edit("summary.json", lambda s: s.update(goal=share))(run)
     with pytest.raises(Unusable, match="goal: expected a count out of a total"):
-        load(run)
+        load_run(run)
 
 
 def test_every_committed_result_is_usable() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from edtorch.report.domain import Domain
-from edtorch.report.task_curve import FAILURES, curve, task_curve
+from edtorch.report.task_curve import FAILURE_RATE, curve, task_curve
 from edtorch.run.episodes import Episode
 from sims.base import Measure, Outcome, Words
 
@@ -36,7 +36,7 @@ def test_quartiles_over_the_seeds_of_their_means() -> None:
     # Means of the first span: .3, .5, .7; of the second, where seed 2 has none: .1, .3.
     assert found.quartiles[:, 0].round(12).tolist() == [0.4, 0.5, 0.6]
     assert found.quartiles[:, 1].round(12).tolist() == [0.15, 0.2, 0.25]
-    crashes = curve(EPISODES, 3, 2, FAILURES)
+    crashes = curve(EPISODES, 3, 2, FAILURE_RATE)
     assert crashes.quartiles[1].tolist() == [0.0, 0.0]
     assert crashes.quartiles[2].tolist() == [0.25, 0.0]
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.base import Problem
-from edtorch.rivals.deep import Lesson
+from edtorch.rivals.deep import Decisions
 from edtorch.rivals.ledger import Account
 from edtorch.rivals.ppo import PPO
 from edtorch.rivals.sac import SAC
@@ -24,7 +24,7 @@ from sims.bicycle import Bicycle
 from tests.rivals.deep_problems import COST, PULL, carry_on, linear_problem
 
 
-def _envs(problem: Problem, lesson: Lesson, seed: int = 0) -> tuple[WorldEnvs, Account]:
+def _envs(problem: Problem, lesson: Decisions, seed: int = 0) -> tuple[WorldEnvs, Account]:
     account = Account()
     return WorldEnvs(problem.world, problem.reward, lesson, seed, account), account
 
@@ -47,7 +47,7 @@ def _upright(world: World) -> QuadraticReward:
 
 def test_rewards_are_the_integral_of_the_shaping_reward() -> None:
     """Three ticks of s' = PULL s + a with the action held, by hand."""
-    envs, account = _envs(linear_problem([0], ticks=6, dt=0.5), Lesson(2, 3, 7.0, 4.0))
+    envs, account = _envs(linear_problem([0], ticks=6, dt=0.5), Decisions(2, 3, 7.0, 4.0))
     s = envs.reset()[:, 0].astype(np.float64)
     action = np.array([[0.5], [-1.0]], dtype=np.float32)
     wanted = np.zeros(2)
@@ -63,7 +63,7 @@ def test_rewards_are_the_integral_of_the_shaping_reward() -> None:
 
 def test_the_time_limit_truncates() -> None:
     """An episode of six ticks ends in the second decision of four, and goes on in the next."""
-    envs, account = _envs(linear_problem([0], ticks=6, dt=0.5), Lesson(1, 4, 7.0, 1.0))
+    envs, account = _envs(linear_problem([0], ticks=6, dt=0.5), Decisions(1, 4, 7.0, 1.0))
     start = envs.reset()
     zero = np.zeros((1, 1), dtype=np.float32)
     _step(envs, zero)
@@ -84,7 +84,7 @@ def test_falls_cost_their_penalty_and_are_counted() -> None:
     world = _bicycle()
     reward = _upright(world)
     account = Account()
-    envs = WorldEnvs(world, reward, Lesson(1, 1, 3.0, 2.0), 5, account)
+    envs = WorldEnvs(world, reward, Decisions(1, 1, 3.0, 2.0), 5, account)
     draws = Streams([stream_key(5, Purpose.LEARNING, 0)], world.uniforms, 0)
     state = world.initial(draws.at(0).uniform)
     np.testing.assert_allclose(envs.reset(), world.observe(state).numpy(), rtol=1e-6)
@@ -113,7 +113,7 @@ def test_falls_cost_their_penalty_and_are_counted() -> None:
 def test_every_simulated_second_is_paid_once() -> None:
     """Copies that fall inside a held action pay for the ticks that they lived."""
     world = _bicycle()
-    envs, account = _envs(_problem(world), Lesson(4, 7, 1.0, 1.0))
+    envs, account = _envs(_problem(world), Decisions(4, 7, 1.0, 1.0))
     envs.reset()
     for _ in range(40):
         _step(envs, np.ones((4, 2), dtype=np.float32))

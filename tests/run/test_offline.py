@@ -18,7 +18,7 @@ from edtorch.policy.policies import LinearPolicy
 from edtorch.policy.steps import PlainStep
 from edtorch.rewards import QuadraticReward
 from edtorch.run.episodes import Budget
-from edtorch.run.offline import Lessons, Offline, learn
+from edtorch.run.offline import Lessons, Offline
 from edtorch.run.scaled_sim import World
 from edtorch.run.transitions_file import Recorded
 from edtorch.transform import FirstOrder
@@ -41,7 +41,7 @@ _, DATA = lived(NOISY, linear_learner(), SEEDS, 60.0)
 
 
 def learned(offline: Offline, steps: int = 20) -> LearnerState:
-    for _ in learn(offline, steps, 7):
+    for _ in offline.learn(steps, 7):
         pass
     return offline.learners
 

@@ -14,7 +14,7 @@ import yaml
 
 from edtorch.app.errors import ConfigError
 from edtorch.report.proportions import Proportion
-from edtorch.report.runs import load
+from edtorch.report.runs import load_run
 from studies import rerun, rerun_paper
 from studies.cells import QUICK_APART, BadCells, Plan, is_done, read_plan, wanted
 from studies.footnote_2 import Falls, zero_policy_falls
@@ -145,7 +145,7 @@ def test_footnote_1_beside_other_figures() -> None:
 def test_the_committed_footnote_1() -> None:
     """Of the cells as they stand, 100,000 policies each: the figures of the preset."""
     plan = read_plan(CELLS.read_text(), REFERENCE)
-    runs = {row: [load(REFERENCE / row)] for row in plan.rows if row.startswith("footnote_1/")}
+    runs = {row: [load_run(REFERENCE / row)] for row in plan.rows if row.startswith("footnote_1/")}
     for row in runs:
         (cell,) = plan.rows[row]
         assert is_done(cell.folder(REFERENCE), wanted(cell))
@@ -198,7 +198,7 @@ def _rival(folder: Path, seconds: list[float], never: list[int], seed: int = 0) 
 
 def test_seeds_that_have_a_run_each_are_one_row(tmp_path: Path) -> None:
     runs = [
-        load(_rival(tmp_path / str(k), [10.0 * k], [4] if k == 4 else [], seed=k))
+        load_run(_rival(tmp_path / str(k), [10.0 * k], [4] if k == 4 else [], seed=k))
         for k in (4, 2, 3)
     ]
     found = estimates(runs)["milestones.stable.seconds"]
@@ -213,12 +213,12 @@ def paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Any]:
     """``paper.md`` and ``paper.json`` of a few rows."""
     monkeypatch.setattr(rerun_paper, "zero_policy_falls", lambda episodes: Falls(20, 1.7, 0.2))
     runs = {
-        "figure_2/bicycle_paper": [load(_rival(tmp_path / "ed", [150, 190, 210, 200], []))],
-        "footnote_1/five_features": [load(_search(tmp_path / "five", 271, 205, 1006.4))],
-        "footnote_1/six_features": [load(_search(tmp_path / "six", 563, 1008, 1012.0))],
-        "methods/bicycle_pegasus": [load(_rival(tmp_path / "p", [900, 950], [0, 1]))],
+        "figure_2/bicycle_paper": [load_run(_rival(tmp_path / "ed", [150, 190, 210, 200], []))],
+        "footnote_1/five_features": [load_run(_search(tmp_path / "five", 271, 205, 1006.4))],
+        "footnote_1/six_features": [load_run(_search(tmp_path / "six", 563, 1008, 1012.0))],
+        "methods/bicycle_pegasus": [load_run(_rival(tmp_path / "p", [900, 950], [0, 1]))],
         "methods/bicycle_sarsa": [],
-        "methods/bicycle_lqr": [load(learners(tmp_path / "lqr", [3, 4]))],
+        "methods/bicycle_lqr": [load_run(learners(tmp_path / "lqr", [3, 4]))],
     }
     missing = {"methods/bicycle_sarsa": "not made yet, or failed"}
     (tmp_path / "figure_3.png").write_text("of a former rerun")
@@ -272,7 +272,7 @@ def test_what_was_paid_while_learning(tmp_path: Path) -> None:
         "first_goal": {key: {"per_seed": values} for key, values in goals.items()},
     }
     (path / "summary.json").write_text(json.dumps(summary))
-    runs = {"methods/bicycle_sarsa": [load(path)], "methods/bicycle_lqr": [load(path)]}
+    runs = {"methods/bicycle_sarsa": [load_run(path)], "methods/bicycle_lqr": [load_run(path)]}
     published = {"bicycle_sarsa": {"learning": {"goal": "4,200"}}, "bicycle_lqr": {}}
     found = learnt(Material(runs, {}), published)
     assert found == {
