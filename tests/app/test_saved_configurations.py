@@ -8,7 +8,7 @@ import pytest
 
 from edtorch.app.errors import FileProblem
 from edtorch.app.rundir import CONFIG, load_config
-from edtorch.app.work import prepared
+from edtorch.app.work import planned
 
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference"
 LACK_THEIR_DATA = {"paper/methods/bicycle_offline"}
@@ -23,7 +23,7 @@ def test_every_saved_configuration_builds(monkeypatch: pytest.MonkeyPatch) -> No
     refused = {}
     for folder in folders:
         try:
-            seeds, _ = prepared(load_config(folder))
+            seeds, _ = planned(load_config(folder))
         except FileProblem as error:
             refused[folder.relative_to(REFERENCE).as_posix()] = str(error)
         else:

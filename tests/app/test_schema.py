@@ -12,7 +12,7 @@ import pytest
 from edtorch.app import schema
 from edtorch.app.compose import compose
 from edtorch.app.errors import ConfigError
-from edtorch.app.groups import TARGETED, Safe
+from edtorch.app.groups import TARGETED, SafeGroup
 from edtorch.app.overrides import given_name, typing
 from edtorch.app.schema import checked, checked_fields
 from edtorch.renamed import RENAMED_KEYS, current_keys
@@ -137,7 +137,7 @@ def test_what_an_older_configuration_lacks_is_set_by_default() -> None:
     old = {"domain": {"_target_": "sims.bicycle.Bicycle"}, "command": {"variant": "safe"}}
     targets = {key: compose().plain()[key] for key in TARGETED}
     command = checked(targets | old).command
-    assert command.plain() == dataclasses.asdict(Safe())
+    assert command.plain() == dataclasses.asdict(SafeGroup())
 
 
 def test_both_names_of_a_setting_are_refused() -> None:
