@@ -35,6 +35,7 @@ from edtorch.run.evaluation import evaluate
 from edtorch.run.milestones import FirstSuccess, checkpoint
 from edtorch.run.offline import Lessons, Offline
 from edtorch.run.transitions_file import Invalid, Recorded, joined, load_transitions
+from edtorch.told_apart import told_apart
 from edtorch.types import Parameters
 from sims.base import Outcome
 
@@ -109,8 +110,9 @@ def _load(config: Any, setup: Setup) -> tuple[Recorded, list[str]]:
     if not setup.learner.model.integrates:
         other = data.dt[data.valid & ~_close(data.dt, dt)]
         if len(other):
+            found, wanted = told_apart(float(other[0]), dt)
             raise ConfigError(
-                f"offline.data: has transitions of {other[0]:g} s, expected the domain's {dt:g} s:"
+                f"offline.data: has transitions of {found} s, expected the domain's {wanted} s:"
                 " a model of the next state is one of the step as well; see model=derivative"
             )
     return data, [line for each in loaded for line in each.masked]

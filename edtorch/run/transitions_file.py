@@ -7,8 +7,6 @@ file is said with its name and the row concerned.
 from __future__ import annotations
 
 import json
-import math
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -16,17 +14,19 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from edtorch.renamed import current_component
 from edtorch.run.checkpoint import FileProblem, write_atomically
 from edtorch.run.recorder import Lived, ended
+from edtorch.run.transitions_meta import FORMAT, read_meta
+from edtorch.told_apart import told_apart
 from sims.base import Quantity, Spec
 
-FORMAT = 1
 Invalid = Literal["refuse", "mask"]
 """What is done about rows that are not what they should be."""
 
 _FLAGS = ("terminated", "truncated")
 _NUMBERS = ("state", "action", "next_state", "dt")
+_SINGLE = float(np.finfo(np.float32).eps)
+"""Of a bound, by which an action may exceed it: clipped in one precision, declared in another."""
 _ROUNDINGS = 16
 """Of a file's own precision, by which numbers may differ that should be equal."""
 
@@ -101,7 +101,7 @@ def _described(quantity: Quantity, *, periodic: bool) -> dict[str, Any]:
 
 def _seeds(recorded: Recorded) -> list[dict[str, Any]]:
     found = []
-    for seed in dict.fromkeys(recorded.seed.tolist()):
+    for seed in dict.fromkeys(recorded.seed[recorded.seed >= 0].tolist()):
         own = recorded.episode[recorded.seed == seed]
         found.append({"seed": seed, "episodes": [int(own.min()), int(own.max()) + 1]})
     return found
@@ -136,36 +136,36 @@ def load_transitions(path: Path, spec: Spec, invalid: Invalid = "refuse") -> Loa
     or they are masked, as ``invalid`` says.  Raises FileProblem, which names file and row.
     """
     arrays = _arrays(path)
-    meta = _meta(path, arrays.pop("meta"))
+    layout = read_meta(path, arrays.pop("meta"), spec)
     rounding = _ROUNDINGS * max(
         (float(np.finfo(arrays[n].dtype).eps) for n in _NUMBERS if arrays[n].dtype.kind == "f"),
         default=float(np.finfo(np.float64).eps),
     )
-    columns = {
-        "state": _columns(path, "state", meta, spec.state),
-        "action": _columns(path, "action", meta, spec.action),
-    }
-    _check_shapes(path, arrays, {kind: len(order) for kind, order in columns.items()})
-    units = _scales(path, meta, spec)
-    state, next_state = (
-        arrays[name].astype(np.float64)[:, columns["state"]] * units["state"]
-        for name in ("state", "next_state")
-    )
-    action = arrays["action"].astype(np.float64)[:, columns["action"]] * units["action"]
+    _check_shapes(path, arrays, {"state": len(layout.state), "action": len(layout.action)})
+    _check_flags(path, arrays)
+    # What is too large for a float64 becomes inf, which is refused with its row.
+    with np.errstate(over="ignore"):
+        state, next_state = (
+            arrays[name].astype(np.float64)[:, layout.state] * layout.state_scale
+            for name in ("state", "next_state")
+        )
+        action = arrays["action"].astype(np.float64)[:, layout.action] * layout.action_scale
+        dt = arrays["dt"].astype(np.float64)
     rows = len(state)
     recorded = Recorded(
         state=state,
         action=action,
         next_state=next_state,
-        dt=arrays["dt"].astype(np.float64),
+        dt=dt,
         episode=arrays["episode"].astype(np.int64),
         terminated=arrays["terminated"].astype(bool),
         truncated=arrays["truncated"].astype(bool),
         succeeded=arrays["succeeded"].astype(bool),
-        seed=_seed_of_rows(path, meta, arrays["episode"]),
+        seed=layout.seed_of(arrays["episode"]),
         valid=np.ones(rows, dtype=bool),
     )
-    wrong = _wrong(recorded, spec, rounding)
+    with np.errstate(over="ignore"):
+        wrong = _wrong(recorded, spec, rounding)
     if wrong and invalid == "refuse":
         first = min(wrong, key=lambda w: w.row)
         others = int(np.logical_or.reduce([w.rows for w in wrong]).sum()) - 1
@@ -207,91 +207,27 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
             if lacking:
                 raise FileProblem(f"{path}: lacks {', '.join(lacking)}")
             arrays = {name: file[name] for name in wanted}
-            length = len(arrays["dt"]) if arrays["dt"].ndim else 0
             if "succeeded" in file.files:
                 arrays["succeeded"] = file["succeeded"]
-            else:
-                arrays["succeeded"] = np.zeros(length, dtype=bool)
     except FileProblem:
         raise
     except FileNotFoundError as error:
         raise FileProblem(f"{path}: no such file") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, TypeError) as error:
-        why = " ".join(str(error).split())
+    except Exception as error:
+        # Zip, zlib, the headers' parser and numpy each raise their own about a broken file.
+        why = " ".join(str(error).split()) or type(error).__name__
         raise FileProblem(f"{path}: cannot be read as an .npz file of arrays ({why})") from error
+    if "succeeded" not in arrays:
+        arrays["succeeded"] = np.zeros(arrays["terminated"].shape, dtype=bool)
     for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):
+            raise FileProblem(f"{path}: {name} is no array in NumPy's format")
         kinds = "U" if name == "meta" else "fiu" if name in _NUMBERS else "iu"
         kinds += "b" if name in (*_FLAGS, "succeeded") else ""
         if array.dtype.kind not in kinds:
             kind = {"U": "text", "fiu": "numbers", "iu": "integers", "iub": "true and false"}[kinds]
             raise FileProblem(f"{path}: {name} holds {array.dtype}, expected {kind}")
     return arrays
-
-
-def _meta(path: Path, text: np.ndarray) -> dict[str, Any]:
-    try:
-        meta = json.loads(str(text[()]))
-    except ValueError as error:
-        raise FileProblem(f"{path}: meta is not JSON ({error})") from error
-    if not isinstance(meta, dict):
-        raise FileProblem(f"{path}: meta: expected a JSON object")
-    if meta.get("format") != FORMAT:
-        raise FileProblem(f"{path}: meta.format={meta.get('format')}: expected {FORMAT}")
-    return meta
-
-
-def _columns(
-    path: Path, kind: str, meta: Mapping[str, Any], quantities: Sequence[Quantity]
-) -> list[int]:
-    """Where in the file each component of the domain is."""
-    listed = meta.get(kind)
-    if not isinstance(listed, list) or not all(
-        isinstance(q, dict) and isinstance(q.get("name"), str) for q in listed
-    ):
-        raise FileProblem(f"{path}: meta.{kind}: expected a list of objects with a name each")
-    for about in listed:
-        about["name"] = current_component(str(meta.get("domain")), about["name"])
-    names, known = [q["name"] for q in listed], [q.name for q in quantities]
-    for name in names:
-        if name not in known:
-            raise FileProblem(
-                f"{path}: meta.{kind}: {name!r} is none of the domain's {', '.join(known)}"
-            )
-    if sorted(names) != sorted(known):
-        raise FileProblem(f"{path}: meta.{kind}: {names}, expected each of {known} once")
-    for quantity in quantities:
-        about = listed[names.index(quantity.name)]
-        for field in ("unit", "period"):
-            found, wanted = about.get(field), getattr(quantity, field)
-            same = found is None or found == wanted
-            if isinstance(found, float) and isinstance(wanted, float):
-                same = math.isclose(found, wanted, rel_tol=1e-6)
-            if not same:
-                raise FileProblem(
-                    f"{path}: meta.{kind}: {quantity.name} has {field} {found}, expected {wanted}"
-                )
-    return [names.index(name) for name in known]
-
-
-def _scales(path: Path, meta: Mapping[str, Any], spec: Spec) -> dict[str, np.ndarray]:
-    """What the columns, in the order of the domain, are to be multiplied with."""
-    domain, units = meta.get("domain"), meta.get("units")
-    if domain != spec.name:
-        raise FileProblem(f"{path}: meta.domain={domain}: expected {spec.name}")
-    if units not in ("physical", "scaled"):
-        raise FileProblem(f"{path}: meta.units={units}: expected physical or scaled")
-    scales = {}
-    for kind, quantities in (("state", spec.state), ("action", spec.action)):
-        found = {q["name"]: q.get("scale") for q in meta[kind]}
-        for q in quantities:
-            if units == "scaled" and found[q.name] != q.scale:
-                raise FileProblem(
-                    f"{path}: meta.{kind}: {q.name} is scaled by {found[q.name]}, expected"
-                    f" {q.scale}, the domain's; physical units fit any scale"
-                )
-        own = [q.scale if units == "scaled" else 1.0 for q in quantities]
-        scales[kind] = np.array(own)
-    return scales
 
 
 def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], sizes: Mapping[str, int]) -> None:
@@ -307,18 +243,15 @@ def _check_shapes(path: Path, arrays: Mapping[str, np.ndarray], sizes: Mapping[s
             raise FileProblem(f"{path}: {name} has shape {array.shape}, expected {wanted}")
 
 
-def _seed_of_rows(path: Path, meta: Mapping[str, Any], episode: np.ndarray) -> np.ndarray:
-    seed = np.full(len(episode), -1, dtype=np.int64)
-    for place, each in enumerate(meta.get("seeds", [])):
-        try:
-            number, (first, after) = int(each["seed"]), map(int, each["episodes"])
-        except (TypeError, ValueError, KeyError) as error:
+def _check_flags(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    for name in (*_FLAGS, "succeeded"):
+        other = np.flatnonzero((arrays[name] != 0) & (arrays[name] != 1))
+        if len(other):
+            row = int(other[0])
             raise FileProblem(
-                f"{path}: meta.seeds[{place}]={each}: expected"
-                ' {"seed": K, "episodes": [FIRST, AFTER THE LAST]}'
-            ) from error
-        seed[(episode >= first) & (episode < after)] = number
-    return seed
+                f"{path}: row {row}: {name} is {arrays[name][row]}, expected true and false, or 1"
+                " and 0"
+            )
 
 
 def _first_rows(episode: np.ndarray) -> np.ndarray:
@@ -376,12 +309,16 @@ def _note_bounds(recorded: Recorded, spec: Spec, rounding: float, note: Any) -> 
         return
     for column, q in enumerate(spec.action):
         given = recorded.action[:, column]
-        room = rounding * q.scale
+        high, low = (
+            bound + sign * (rounding * q.scale + _SINGLE * abs(bound))
+            for bound, sign in ((q.high, 1), (q.low, -1))
+        )
         note(
-            (given > q.high + room) | (given < q.low - room),
+            (given > high) | (given < low),
             lambda row, given=given, q=q: (
-                f"action {q.name} is {given[row]:.6g}, expected the action as applied, within"
-                f" {q.low:g} to {q.high:g}"
+                "action {} is {}, expected the action as applied, within {} to {}".format(
+                    q.name, *told_apart(float(given[row]), q.low, q.high)
+                )
             ),
         )
 
@@ -436,10 +373,12 @@ def _note_episodes(
     def text(row: int) -> str:
         place = int(np.searchsorted(inner, row))
         column = int((gap[place] > allowed[place]).argmax())
-        ends, follows = recorded.next_state[row, column], recorded.state[row + 1, column]
+        ends, follows = told_apart(
+            float(recorded.next_state[row, column]), float(recorded.state[row + 1, column])
+        )
         return (
-            f"next_state {spec.state[column].name} is {ends:.9g}, but the next row of the episode"
-            f" begins with {follows:.9g}"
+            f"next_state {spec.state[column].name} is {ends}, but the next row of the episode"
+            f" begins with {follows}"
         )
 
     # Which of the two is wrong is not known.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +193,24 @@ def test_actions_must_be_as_applied(tmp_path: Path) -> None:
     assert load_transitions(path, spec, "mask").recorded.valid.tolist() == [True, False]
 
 
+def test_actions_clipped_in_another_precision_are_within_their_bounds(tmp_path: Path) -> None:
+    """0.7 in float64 is above 0.7 in float32; what is farther out is printed to differ from it."""
+    path, single = tmp_path / "clipped.npz", float(np.float32(0.7))
+    spec = WORLD.spec
+    bounded = replace(spec.action[0], low=-single, high=single)
+    spec = replace(spec, action=(bounded,), clip_action=True)
+    data = replace(DATA, action=np.clip(DATA.action, -0.7, 0.7))
+    assert data.action.max() > single
+    save_transitions(path, data, spec)
+    assert same(load_transitions(path, spec).recorded, data)
+    beyond = replace(data, action=np.where(data.action < 0.7, data.action, single * (1 + 4e-7)))
+    save_transitions(path, beyond, spec)
+    with pytest.raises(
+        FileProblem, match=r"action_0 is 0\.700000268, expected .* -0\.699999988 to 0\.699999988"
+    ):
+        load_transitions(path, spec)
+
+
 def test_angles_may_be_wrapped_between_rows(tmp_path: Path) -> None:
     """An episode may count its angle on, or wrap it: it is the same angle."""
     path, spec = tmp_path / "angle.npz", Bicycle().spec
@@ -242,7 +261,46 @@ FILES = [
         _meta(state=[{"name": "state_0", "period": 6.28}, {"name": "state_1"}]),
         r"state_0 has period 6\.28, expected 0",
     ),
-    (_meta(seeds=[{"seed": 1}]), r"meta\.seeds\[0\]=.*: expected"),
+    (_put("succeeded", lambda a: a + 2), r"row 0: succeeded is 2, expected true and false"),
+    (_put("meta", lambda a: np.array([a, a])), r"meta has shape \(2,\), expected one text"),
+    (_put("meta", lambda a: np.array("[" * 100_000)), r"meta is not JSON"),
+    (_put("meta", lambda a: np.array('{"format": 1, "format": 1}')), r"format is given twice"),
+    (_meta(format=True), r"meta\.format=true: expected 1"),
+    (_meta(domain=["linear"]), r'meta\.domain=\["linear"\]: expected linear'),
+    (_meta(domain="line\nar"), r'meta\.domain="line\\nar": expected linear'),
+    (_meta(units=None), r"meta\.units=null: expected physical or scaled"),
+    (_meta(state=None), r"meta\.state: expected a list of objects"),
+    (
+        _meta(action=[{"name": "action_0", "scale": "1"}]),
+        r"meta\.action\[0\]\.scale=1: expected a finite number",
+    ),
+    (
+        _meta(action=[{"name": "action_0", "scale": 10**400}]),
+        r"meta\.action\[0\]\.scale=1000.*: expected a finite number",
+    ),
+    (_meta(action=[{"name": "action_0", "unit": 3}]), r"action_0 has unit 3, expected 1"),
+    (_meta(seeds=None), r"meta\.seeds=null: expected a list of"),
+    (_meta(seeds={"seed": 1}), r"meta\.seeds=\{.*: expected a list of"),
+    (_meta(seeds=[3]), r"meta\.seeds\[0\]=3: expected"),
+    (_meta(seeds=[{"seed": 1}]), r"meta\.seeds\[0\]\.episodes=null: expected two integers"),
+    *(
+        (
+            _meta(seeds=[{"seed": seed, "episodes": [0, 6]}]),
+            r"meta\.seeds\[0\]\.seed=.*: expected an integer from 0",
+        )
+        for seed in (None, True, 1.5, "1", -1, 2**63)
+    ),
+    *(
+        (
+            _meta(seeds=[{"seed": 1, "episodes": span}]),
+            r"meta\.seeds\[0\]\.episodes=.*: expected two integers",
+        )
+        for span in ([0], [0, 6, 7], [6, 0], [0, 2**63], ["0", "6"], {"0": 6})
+    ),
+    (
+        _meta(seeds=[{"seed": 1, "episodes": [2, 6]}, {"seed": 2, "episodes": [0, 3]}]),
+        r"meta\.seeds\[0\]\.episodes=\[2, 6\]: expected episodes that seeds\[1\], \[0, 3\], does",
+    ),
 ]
 
 
