@@ -103,11 +103,11 @@ class Chain:
         for row, (joint, drive) in enumerate(zip(moving, drives, strict=True)):
             column = self.joints.index(drive.source)
             self._gain[row, column] = drive.gain
-            if joint.kind == "prismatic" and drive.gain != 0:
-                ends = (self.low[column], self.high[column])
-                self._reach += max(abs(drive.gain * float(end) + drive.offset) for end in ends)
-            # Of a gear a whole turn need not be one of what it moves.
-            if joint.kind == "prismatic" or abs(drive.gain) != 1:
+            if joint.kind == "prismatic":
+                ends = (float(self.low[column]), float(self.high[column])) if drive.gain else (0.0,)
+                self._reach += max(abs(drive.gain * end + drive.offset) for end in ends)
+            # Through a gear, a whole turn of the joint need not be one of what it moves.
+            if joint.kind == "prismatic" or drive.gain % 1 != 0:
                 self._turning[column] = False
         self._reach = min(self._reach * (1 + 1e-6) + 1e-6, _FAR)
         # Frame 0 is the root's.
@@ -174,7 +174,7 @@ class Chain:
     def level(self, position: Tensor) -> Solution:
         """Angles that bring ``end`` to ``position`` ``[*batch, 3]``, m, and hold it level: its z
         along that of ``root``, its x pointing away from the first joint, which turns about z."""
-        away = position - self._frames(torch.zeros(len(self.joints)))[self._first, :3, 3]
+        away = position[..., :2] - self._frames(torch.zeros(len(self.joints)))[self._first, :2, 3]
         yaw = torch.atan2(away[..., 1], away[..., 0])
         zero, one = torch.zeros_like(yaw), torch.ones_like(yaw)
         rows = (yaw.cos(), -yaw.sin(), zero, yaw.sin(), yaw.cos(), zero, zero, zero, one)

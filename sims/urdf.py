@@ -36,7 +36,6 @@ _ATTRIBUTES = {
     "limit": ("lower", "upper", "effort", "velocity", "acceleration", "jerk"),
     "mimic": ("joint", "multiplier", "offset"),
 }
-_IGNORED = ("dynamics", "calibration", "safety_controller")
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +138,9 @@ class Robot:
 
     def _joint(self, name: str) -> Joint:
         kind = self._kind(name)
-        known = (*_ATTRIBUTES, *_IGNORED)
         for part in self._joints[name]:
-            if part.tag not in known and (meant := get_close_matches(part.tag, known, 1, 0.7)):
+            meant = get_close_matches(part.tag, _ATTRIBUTES, 1, 0.7)
+            if part.tag not in _ATTRIBUTES and meant:
                 raise self._wrong(name, f"unknown element <{part.tag}>; meant <{meant[0]}>?")
         axis = (1.0, 0.0, 0.0)
         if kind != "fixed" and (element := self._part(name, "axis")) is not None:
@@ -229,7 +228,7 @@ class Robot:
             return default
         parts = text.split()
         if len(parts) != 3:
-            raise self._wrong(name, f"{element.tag} {key}={text!r}: expected three numbers")
+            raise self._no_number(name, element, key, text, "three numbers")
         return tuple(self._float(name, element, key, part) for part in parts)
 
     def _float(
@@ -241,9 +240,14 @@ class Robot:
         except ValueError:
             number = math.nan
         if math.isnan(number) or (math.isinf(number) and not is_bound):
-            macro = " (an expression that xacro has not replaced)" if "$" in text else ""
-            raise self._wrong(name, f"{element.tag} {key}={text!r}{macro}: expected a number")
+            raise self._no_number(name, element, key, text, "a number")
         return number
+
+    def _no_number(
+        self, name: str, element: Element, key: str, text: str, expected: str
+    ) -> ValueError:
+        macro = " (an expression that xacro has not replaced)" if "$" in text else ""
+        return self._wrong(name, f"{element.tag} {key}={text!r}{macro}: expected {expected}")
 
     def _names(self, robot: Element, tag: str) -> tuple[str, ...]:
         names: dict[str, None] = {}

@@ -226,6 +226,8 @@ def test_robots_of_pybullet(file: str, root: str, end: str, tip: str) -> None:
     assert solution.found.all()
     inside = (solution.angles >= chain.low) & (solution.angles <= chain.high)
     assert inside.all()
+    alone = chain.inverse(Pose(reached.position[7], reached.rotation[7]))
+    torch.testing.assert_close(alone.angles, solution.angles[7], rtol=0, atol=1e-9)
     again = chain.forward(solution.angles)
     torch.testing.assert_close(again.position, reached.position, rtol=0, atol=1e-7)
     torch.testing.assert_close(again.rotation, reached.rotation, rtol=0, atol=1e-7)
@@ -250,6 +252,22 @@ def test_a_planar_arm_that_turns_all_the_way(tmp_path: Path, limit: float | None
     torch.testing.assert_close(solution.angles[:, 1].cos(), angles[:, 1].cos(), rtol=0, atol=1e-7)
     whole = (solution.angles.sum(-1) - angles.sum(-1)) / (2 * math.pi)
     torch.testing.assert_close(whole, whole.round(), rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("gear", [-1.0, 3.0, 0.5])
+def test_a_joint_that_drives_another_through_a_gear(tmp_path: Path, gear: float) -> None:
+    follower = f'<mimic joint="j0" multiplier="{gear}" offset="1"/>'
+    arm = [joint(0, "continuous"), joint(1, "continuous", inside=follower), joint(2, "continuous")]
+    (tmp_path / "arm.urdf").write_text(robot(*arm))
+    chain = Chain(tmp_path / "arm.urdf", "l0", "l3")
+    share = torch.rand(30, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    target = chain.forward((2 * share - 1) * math.pi)
+    solution = chain.inverse(target)
+    assert solution.found.all()
+    reached = chain.forward(solution.angles)
+    torch.testing.assert_close(reached.position, target.position, rtol=0, atol=1e-7)
+    if gear.is_integer():
+        assert solution.angles.abs().max() <= math.pi
 
 
 def test_a_target_that_is_no_pose_leaves_the_others_alone(chain: Chain) -> None:

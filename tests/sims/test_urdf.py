@@ -112,6 +112,11 @@ PARENT, CHILD = '<parent link="l0"/>', '<child link="l1"/>'
         ("<link", '<xacro:arm x="1"/><link', "element <xacro:arm>: expected what xacro makes"),
         ("</joint>", "<xacro:x/></joint>", "element <xacro:x> in joint 'j0': expected what xacro"),
         ('xyz="0 0 0.3"', 'xyz="0 0 ${z}"', r"'j0': origin xyz='\${z}' \(an expression that xacro"),
+        (
+            'xyz="0 0 0.3"',
+            'xyz="$(arg at)"',
+            r"xyz='\$\(arg at\)' \(an expression .* three numbers",
+        ),
         ('xyz="0 0 0.3"', 'xyz="0 0,3"', "'j0': origin xyz='0 0,3': expected three numbers"),
         ('xyz="0 0 0.3"', 'xyz="0 0 0,3"', "'j0': origin xyz='0,3': expected a number"),
         ('xyz="0 0 0.3"', 'xyz="0 0 1_0"', "'j0': origin xyz='1_0': expected a number"),
