@@ -1,10 +1,10 @@
 """The one doorway to pytorch-kinematics: a chain of joints from a URDF file, batched.
 
-The file is read by ``sims.urdf`` and inverse kinematics is that of ``sims.inverse_kinematics``: the
-library's parser rounds to float32 and its solver gives up a whole batch when one start diverges.
+``sims.urdf`` reads the file and ``sims.inverse_kinematics`` solves the inverse problem: the
+library's reader rounds to float32, and its solver fails for a whole batch if one start diverges.
 
 ``forward`` and ``jacobian`` may be differentiated by ``torch.func`` and by autograd, to any order;
-``torch.func.vmap`` over them does not work, their own batch axes are for that.
+``torch.func.vmap`` over them does not work: use their batch axes.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from sims.inverse_kinematics import solve
 from sims.urdf import Drive, Joint, Robot
 
 _TOLERANCE = 1e-7
-"""How exactly inverse kinematics reaches a pose, m and rad."""
+"""Largest error of an answer of inverse kinematics, m and rad."""
 _ENOUGH = 1e-10
-"""Where it stops trying."""
+"""The error at which it stops, m and rad."""
 _SKEW = 1e-4
-"""How far a rotation matrix may be from an orthogonal one."""
+"""Largest entry of R R' - I accepted in a rotation matrix R."""
 _NEARLY = 0.01
-"""rad by which a range may fall short of a whole turn and count as one: 3.14 to either side."""
+"""A range this much short of a whole turn, rad, still counts as one: +-3.14 for +-pi."""
 _FAR = 1e9
-"""How far an endless slide is taken to go, m."""
+"""Farthest target that is tried for a slide without limits, m."""
 
 
 def pytorch_kinematics() -> ModuleType:
@@ -57,9 +57,8 @@ class Pose:
 
 @dataclass(frozen=True)
 class Solution:
-    """Answers of inverse kinematics: positions of the joints ``[*batch, n]``, rad or m, and whether
-    each of them (bool ``[*batch]``) reaches its pose within the joints' ranges; where not, the
-    positions are NaN."""
+    """Answers of inverse kinematics: joint positions ``[*batch, n]``, rad or m, and whether they
+    reach the pose within the joints' ranges (bool ``[*batch]``); where not, they are NaN."""
 
     angles: Tensor
     found: Tensor
@@ -68,10 +67,10 @@ class Solution:
 class Chain:
     """The joints from link ``root`` to link ``end`` of the robot in file ``urdf``.
 
-    Everything is in the frame of ``root``, in float64.  ``joints`` are those that move by
-    themselves: one that mimics another follows it, which need not be on the way.  ``low``,
-    ``high``: ranges of the joints, rad or m, for inverse kinematics (default: those of the file;
-    infinite for a continuous joint).
+    Everything is in the frame of ``root``, in float64.  ``joints`` names the independent joints; a
+    joint that mimics another follows it, even if that one is not on the path.  ``low``, ``high``:
+    ranges of the joints, rad or m, for inverse kinematics (default: those of the file; infinite for
+    a continuous joint).
     """
 
     def __init__(
@@ -83,7 +82,7 @@ class Chain:
         low: Sequence[float] | None = None,
         high: Sequence[float] | None = None,
     ) -> None:
-        """Read the file; ValueError, in one line, for what is wrong in it."""
+        """Read the file; ValueError, in one line, if it cannot be used."""
         pk = pytorch_kinematics()
         robot = Robot(urdf)
         path = robot.between(root, end)
@@ -117,7 +116,7 @@ class Chain:
         except RecursionError:
             raise ValueError(
                 f"root={root!r}, end={end!r}: {len(path)} joints between them in {urdf}; expected"
-                " fewer: pytorch-kinematics takes about a hundred"
+                " at most about a hundred, the depth that pytorch-kinematics supports"
             ) from None
 
     def forward(self, angles: Tensor) -> Pose:
@@ -130,15 +129,16 @@ class Chain:
         of the joints, ``[*batch, 6, n]``; angles ``[*batch, n]``.
 
         Column k is (z_k x (p - p_k), z_k), with the axis z_k of joint k and a point p_k of it, or
-        (z_k, 0) if it slides; those of joints that move together are added up.
+        (z_k, 0) if it slides; the columns of joints that mimic it are added, times their gains.
         """
         return self._jacobian(self._frames(angles))
 
     def inverse(self, pose: Pose) -> Solution:
-        """Joints that bring ``end`` to ``pose``: damped least squares from 64 fixed starts, to 1e-7
-        m and rad, or to the precision of a ``pose`` in float32.
+        """Joint positions that bring ``end`` to ``pose``, by damped least squares from up to 64
+        fixed starts, to 1e-7 m and rad, or to the precision of a ``pose`` in float32.
 
-        Answers of joints that can turn all the way are within pi of 0, if their ranges allow.
+        Joints that can turn all the way are answered within pi of 0, where their ranges allow.
+        A target that is not finite, not a rotation or out of reach is not found.
         """
         batch = torch.broadcast_shapes(pose.position.shape[:-1], pose.rotation.shape[:-2])
         if pose.position.shape[-1:] != (3,) or pose.rotation.shape[-2:] != (3, 3):
@@ -181,7 +181,7 @@ class Chain:
         return self.inverse(Pose(position, torch.stack(rows, -1).unflatten(-1, (3, 3))))
 
     def _frames(self, angles: Tensor) -> Tensor:
-        """Of the links on the way, ``[F, *batch, 4, 4]``."""
+        """Of the links on the path, ``[F, *batch, 4, 4]``."""
         n = len(self.joints)
         if angles.shape[-1:] != (n,):
             raise ValueError(f"angles: shape {tuple(angles.shape)}, expected [*batch, {n}]")
@@ -196,7 +196,7 @@ class Chain:
         return (columns @ self._gain).reshape(*frames.shape[1:-2], 6, -1)
 
     def _reachable(self, targets: Tensor) -> Tensor:
-        """Which targets ``[N, 4, 4]`` are poses, and not farther away than the chain is long."""
+        """Which targets ``[N, 4, 4]`` are finite poses, no farther than the chain's length."""
         position, rotation = targets[:, :3, 3], targets[:, :3, :3]
         skew = (rotation @ rotation.mT - torch.eye(3).double()).abs().amax((-2, -1))
         x, y, z = rotation.unbind(-1)
@@ -208,7 +208,7 @@ class Chain:
 def _ranges(
     urdf: Path | str, drives: Sequence[Drive], given: Mapping[str, Sequence[float] | None]
 ) -> tuple[Tensor, Tensor]:
-    """``low`` and ``high``, those given or else those of the file."""
+    """``low`` and ``high``: those given, or else the file's."""
     sources = list(dict.fromkeys(drive.source for drive in drives))
     bounds: dict[str, list[float]] = {}
     for end, narrower in (("low", max), ("high", min)):
@@ -236,7 +236,7 @@ def _ranges(
 
 
 def _serial(pk: ModuleType, root: str, path: Sequence[Joint]) -> Any:
-    """The library's chain.  Built here, since its reader of files rounds to float32."""
+    """The library's chain, built in float64."""
     above = base = pk.frame.Frame(root, link=pk.frame.Link(root))
     for joint in path:
         offset = pk.Transform3d(matrix=joint.origin[None], dtype=torch.float64)

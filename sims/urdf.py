@@ -1,9 +1,9 @@
 """The moving parts of a robot in a URDF file, and nothing else of it.
 
-Read are the names of the links and, of each joint, its type, links, origin, axis, limits and the
-joint that it mimics (https://wiki.ros.org/urdf/XML/joint, with its defaults).  Inertias, shapes,
-transmissions and what simulators add are not looked at.  The links and how joints connect them are
-checked for the whole file, numbers only for the joints that are asked for.
+Only the links' names and each joint's type, links, origin, axis, limits and mimic element are read,
+with the defaults of https://wiki.ros.org/urdf/XML/joint.  Inertias, shapes, transmissions and
+simulators' extensions are ignored.  The tree of links and joints is checked for the whole file,
+numbers only for the joints asked for.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _ATTRIBUTES = {
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint: where it stands in its parent link, ``origin`` ``[4, 4]``, the unit vector ``axis``
-    ``[3]`` that it turns about or slides along, and the link ``child`` that it moves.  A continuous
-    joint is a revolute one."""
+    """A joint that moves the link ``child``: its frame in the parent link's, ``origin`` ``[4, 4]``,
+    and the unit vector ``axis`` ``[3]`` that it turns about or slides along.  A continuous joint is
+    revolute."""
 
     name: str
     kind: Literal["revolute", "prismatic", "fixed"]
@@ -53,9 +53,9 @@ class Joint:
 
 @dataclass(frozen=True)
 class Drive:
-    """A joint's position, rad or m, is ``gain`` x + ``offset``, where x is that of joint
-    ``source``: itself, unless it mimics another.  low, high: what x may be, None if the file does
-    not say."""
+    """A joint's position, rad or m, is ``gain`` x + ``offset``, where x is that of the joint
+    ``source``: the joint itself, unless it mimics another.  low, high: limits of x, None if the
+    file gives none."""
 
     source: str
     gain: float
@@ -77,17 +77,17 @@ class Robot:
         self.links = self._names(robot, "link")
         self._joints = dict(zip(self._names(robot, "joint"), robot.findall("joint"), strict=True))
         self._above: dict[str, tuple[str, str]] = {}
-        """Of a link: the joint that moves it and the link that this stands on."""
+        """Of each link but the root: the joint whose child it is, and that joint's parent."""
         for name in self._joints:
             parent, child = (self._link(name, role) for role in ("parent", "child"))
             if child in self._above:
                 other = self._above[child][0]
                 raise self._wrong(name, f"link {child!r} is the child of joint {other!r} already")
             self._above[child] = (name, parent)
-        self._refuse_circles()
+        self._refuse_cycles()
 
     def between(self, root: str, end: str) -> list[Joint]:
-        """The joints on the way from link ``root`` down to link ``end``, fixed ones too."""
+        """The joints on the path from link ``root`` to its descendant ``end``, fixed ones too."""
         for role, link in (("root", root), ("end", end)):
             if link not in self.links:
                 raise ValueError(
@@ -98,21 +98,21 @@ class Robot:
         while link != root:
             if link not in self._above:
                 raise ValueError(
-                    f"root={root!r}, end={end!r}: expected an end that joints of {self.path}"
-                    f" connect to root; they connect it to {link!r}"
+                    f"root={root!r}, end={end!r}: expected an end that descends from root in"
+                    f" {self.path}; it descends from {link!r}"
                 )
             name, link = self._above[link]
             names.append(name)
         return [self._joint(name) for name in reversed(names)]
 
     def drive(self, name: str, mimics: tuple[str, ...] = ()) -> Drive:
-        """What sets the position of the moving joint ``name``.
+        """What drives the moving joint ``name``.
 
-        Its own range and those of the joints that it mimics must all hold.  mimics: the joints that
-        mimic this one.
+        The limits are those of the joint and of all that it mimics together.  mimics: the joints
+        whose mimic elements led here.
         """
         if name in mimics:
-            raise self._wrong(name, "mimics itself, by way of " + ", ".join(map(repr, mimics)))
+            raise self._wrong(name, "mimics itself through " + ", ".join(map(repr, mimics)))
         element = self._part(name, "mimic")
         limits = self._limits(name)
         if element is None:
@@ -131,9 +131,7 @@ class Robot:
             low = least if low is None else max(low, least)
             high = most if high is None else min(high, most)
             if low > high:
-                raise self._wrong(
-                    name, f"mimics {other!r}: expected ranges that both can be within"
-                )
+                raise self._wrong(name, f"mimics {other!r}: expected limits that both can keep")
         return Drive(of.source, gain, offset, low, high)
 
     def _joint(self, name: str) -> Joint:
@@ -159,7 +157,7 @@ class Robot:
         return _KINDS[given]  # pyright: ignore[reportReturnType]
 
     def _origin(self, name: str) -> Tensor:
-        """Translation by xyz after turns by rpy about the fixed axes x, y, z."""
+        """Rotation by rpy about the fixed axes x, y, z, then translation by xyz."""
         origin = torch.eye(4, dtype=torch.float64)
         element = self._part(name, "origin")
         if element is None:
@@ -175,7 +173,7 @@ class Robot:
         return origin
 
     def _limits(self, name: str) -> tuple[float, float] | None:
-        """The range of a joint by itself; None if the file should say and does not."""
+        """A joint's own limits; None if they are required and missing."""
         mimics = self._part(name, "mimic") is not None
         if self._joints[name].get("type") == "continuous":
             return (-math.inf, math.inf)
@@ -234,7 +232,7 @@ class Robot:
     def _float(
         self, name: str, element: Element, key: str, text: str, is_bound: bool = False
     ) -> float:
-        """A finite number, or as a bound an infinite one."""
+        """A finite number, or infinite if it is a bound."""
         try:
             number = math.nan if "_" in text else float(text)
         except ValueError:
@@ -246,7 +244,7 @@ class Robot:
     def _no_number(
         self, name: str, element: Element, key: str, text: str, expected: str
     ) -> ValueError:
-        macro = " (an expression that xacro has not replaced)" if "$" in text else ""
+        macro = " (an unresolved xacro expression)" if "$" in text else ""
         return self._wrong(name, f"{element.tag} {key}={text!r}{macro}: expected {expected}")
 
     def _names(self, robot: Element, tag: str) -> tuple[str, ...]:
@@ -256,31 +254,29 @@ class Robot:
             if not name:
                 raise ValueError(f"{self.path}: a <{tag}> has no name: expected one")
             if name in names:
-                raise ValueError(f"{self.path}: {tag} {name!r}: expected one of that name, not two")
+                raise ValueError(f"{self.path}: {tag} {name!r}: expected unique names")
             names[name] = None
         return tuple(names)
 
-    def _refuse_circles(self) -> None:
+    def _refuse_cycles(self) -> None:
         rooted: set[str] = set()
         for link in self.links:
-            way: list[str] = []
+            path: list[str] = []
             while link in self._above and link not in rooted:
                 name, above = self._above[link]
-                if link in way:
-                    raise self._wrong(
-                        name, f"its links are in a circle with {above!r} and {link!r}"
-                    )
-                way.append(link)
+                if link in path:
+                    raise self._wrong(name, f"the links {above!r} and {link!r} are in a cycle")
+                path.append(link)
                 link = above
-            rooted.update(way)
+            rooted.update(path)
 
     def _wrong(self, name: str, what: str) -> ValueError:
         return ValueError(f"{self.path}: joint {name!r}: {what}")
 
 
 def _parse(path: Path | str) -> Element:
-    """The root element.  Not ElementTree's own parser: it refuses prefixes that are not declared,
-    which simulators' elements have, and encodings of several bytes a character."""
+    """The root element.  ElementTree's own parser would refuse undeclared prefixes, which
+    simulators' elements have, and multi-byte encodings."""
     data = Path(path).read_bytes().lstrip()
     builder, parser = TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler = builder.start
@@ -299,13 +295,13 @@ def _refuse_macros(path: Path | str, robot: Element) -> None:
             if element.tag.startswith("xacro:"):
                 within = "" if element is part else f" in {part.tag} {part.get('name')!r}"
                 raise ValueError(
-                    f"{path}: element <{element.tag}>{within}: expected what xacro makes of the"
-                    " file (xacro robot.xacro > robot.urdf)"
+                    f"{path}: element <{element.tag}>{within}: expected a file expanded by xacro"
+                    " (xacro robot.xacro > robot.urdf)"
                 )
 
 
 def _some(names: Iterable[str], like: str = "") -> str:
-    """A few of the names, those most like ``like`` first."""
+    """A few of the names, the closest matches of ``like`` first."""
     names = list(names)
     first = get_close_matches(like, names, 3)
     chosen = [*first, *(name for name in names if name not in first)][:8]

@@ -328,5 +328,5 @@ def test_what_the_file_leaves_out_can_be_given(tmp_path: Path) -> None:
         Chain(path, "l1", "l1")
     long = robot(*(joint(k) for k in range(400)), links=401)
     path.write_text(long)
-    with pytest.raises(ValueError, match=r"400 joints between them .* expected fewer"):
+    with pytest.raises(ValueError, match=r"400 joints between them .* expected at most"):
         Chain(path, "l0", "l400")

@@ -48,7 +48,7 @@ def test_what_kinematics_does_not_need_is_not_read(file: Path) -> None:
         f'<link name="tool">{shape}{shape}<collision/><inertial><mass value="?"/></inertial></link>'
         '<transmission name="t"><joint name="j0"/><actuator name="j0"/></transmission>'
         '<gazebo reference="j0"><sensor:camera/><joint name="j0" type="ball"/></gazebo><what/>'
-        # A joint that is not asked for may be of any kind.
+        # A joint off the path may be of any type.
         '<joint name="f" type="floating"><parent link="l0"/><child link="tool"/></joint>'
     )
     text = "\n  " + ARM.replace("</robot>", more + "</robot>")
@@ -109,13 +109,21 @@ PARENT, CHILD = '<parent link="l0"/>', '<child link="l1"/>'
         ("<robot", "junk<robot", "expected a well-formed XML file"),
         ('"1.0"', '"1.0" encoding="klingon"', "unknown encoding: klingon"),
         ("robot", "sdf", "expected the root element <robot>, not <sdf>"),
-        ("<link", '<xacro:arm x="1"/><link', "element <xacro:arm>: expected what xacro makes"),
-        ("</joint>", "<xacro:x/></joint>", "element <xacro:x> in joint 'j0': expected what xacro"),
-        ('xyz="0 0 0.3"', 'xyz="0 0 ${z}"', r"'j0': origin xyz='\${z}' \(an expression that xacro"),
+        ("<link", '<xacro:arm x="1"/><link', "element <xacro:arm>: expected a file expanded"),
+        (
+            "</joint>",
+            "<xacro:x/></joint>",
+            "element <xacro:x> in joint 'j0': expected a file expanded",
+        ),
+        (
+            'xyz="0 0 0.3"',
+            'xyz="0 0 ${z}"',
+            r"'j0': origin xyz='\${z}' \(an unresolved xacro expression",
+        ),
         (
             'xyz="0 0 0.3"',
             'xyz="$(arg at)"',
-            r"xyz='\$\(arg at\)' \(an expression .* three numbers",
+            r"xyz='\$\(arg at\)' \(an unresolved xacro expression.* three numbers",
         ),
         ('xyz="0 0 0.3"', 'xyz="0 0,3"', "'j0': origin xyz='0 0,3': expected three numbers"),
         ('xyz="0 0 0.3"', 'xyz="0 0 0,3"', "'j0': origin xyz='0,3': expected a number"),
@@ -135,23 +143,23 @@ PARENT, CHILD = '<parent link="l0"/>', '<child link="l1"/>'
         (PARENT, "", "'j0': expected an element <parent>"),
         (CHILD, "<child/>", "'j0': expected an attribute 'link' of <child>"),
         (CHILD, '<child link="x"/>', "'j0': child link='x': expected one of l0, l1"),
-        (PARENT, '<parent link="l1"/>', "'j0': its links are in a circle with 'l1' and 'l1'"),
-        (PARENT, '<parent link="l4"/>', "'j.': its links are in a circle"),
-        ('name="j1"', 'name="j0"', "joint 'j0': expected one of that name, not two"),
+        (PARENT, '<parent link="l1"/>', "'j0': the links 'l1' and 'l1' are in a cycle"),
+        (PARENT, '<parent link="l4"/>', r"'j.': the links .* are in a cycle"),
+        ('name="j1"', 'name="j0"', "joint 'j0': expected unique names"),
         ('name="j0"', "", "a <joint> has no name"),
-        ('<link name="l1"', '<link name="l0"', "link 'l0': expected one of that name, not two"),
+        ('<link name="l1"', '<link name="l0"', "link 'l0': expected unique names"),
         (
             '<child link="l2"',
             '<child link="l1"',
             "joint 'j1': link 'l1' is the child of joint 'j0'",
         ),
         ("<axis", '<mimic joint="j3"/><axis', "'j0': mimics 'j3': expected a moving joint"),
-        ("<axis", '<mimic joint="j0"/><axis', "'j0': mimics itself, by way of 'j0'"),
+        ("<axis", '<mimic joint="j0"/><axis', "'j0': mimics itself through 'j0'"),
         ("<axis", "<mimic/><axis", "'j0': expected an attribute 'joint' of <mimic>"),
         (
             "<axis",
             '<mimic joint="j1" offset="7"/><axis',
-            "'j0': mimics 'j1': expected ranges that both can be within",
+            "'j0': mimics 'j1': expected limits that both can keep",
         ),
     ],
 )
@@ -170,5 +178,5 @@ def test_links_that_are_not_there_or_not_connected(file: Path) -> None:
     arm = write(file, ARM)
     with pytest.raises(ValueError, match=r"end='foot': expected one of the links of .*arm\.urdf"):
         arm.between("l0", "foot")
-    with pytest.raises(ValueError, match=r"root='l3', end='l1': .* they connect it to 'l0'"):
+    with pytest.raises(ValueError, match=r"root='l3', end='l1': .* it descends from 'l0'"):
         arm.between("l3", "l1")
