@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 import torch
 
 from edtorch.learner.learner import Learner
@@ -55,3 +58,37 @@ def lived(
         training.advance(700)
     lives = [recorder.lived(row) for row in range(len(seeds))]
     return training, gathered(lives, seeds, world.dt)
+
+
+def linear_arrays(
+    episodes: int = 10, rows: int = 4, dt: float | np.ndarray = 0.01, **changes: Any
+) -> dict[str, Any]:
+    """The content of a file of transitions of s' = [[1, .02], [0, 1]] s + [0, .06] a in the linear
+    domain; changes: of arrays, by name, and of ``meta``."""
+    generator = np.random.default_rng(0)
+    size = episodes * rows
+    state, action = np.zeros((size, 2)), generator.normal(size=(size, 1))
+    next_state = np.zeros((size, 2))
+    for row in range(size):
+        state[row] = next_state[row - 1] if row % rows else generator.normal(size=2)
+        next_state[row] = [
+            state[row, 0] + 0.02 * state[row, 1],
+            state[row, 1] + 0.06 * action[row, 0],
+        ]
+    meta = {
+        "format": 1,
+        "domain": "linear",
+        "units": "physical",
+        "state": [{"name": "state_0"}, {"name": "state_1"}],
+        "action": [{"name": "action_0"}],
+    }
+    arrays = {
+        "state": state,
+        "action": action,
+        "next_state": next_state,
+        "dt": np.broadcast_to(dt, size).copy(),
+        "episode": np.arange(size) // rows,
+        "terminated": np.zeros(size, dtype=bool),
+        "truncated": np.arange(size) % rows == rows - 1,
+    }
+    return arrays | changes | {"meta": json.dumps(meta | changes.get("meta", {}))}

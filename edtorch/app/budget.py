@@ -9,16 +9,24 @@ from edtorch.app.errors import ConfigError
 from edtorch.run.episodes import Budget
 
 
-def build_budget(config: Any) -> Budget:
-    """What a learner may use.  Raises ConfigError."""
+def given_budget(config: Any) -> Budget | None:
+    """What a learner may use, None where there is no limit.  Raises ConfigError."""
     if config.seconds is not None:
         positive("train.seconds", config.seconds)
     for name in ("episodes", "successes"):
         if config[name] is not None:
             at_least(f"train.{name}", config[name], 1)
     if config.seconds is None and config.episodes is None and config.successes is None:
+        return None
+    return Budget(config.seconds, config.episodes, config.successes)
+
+
+def build_budget(config: Any) -> Budget:
+    """What a learner may use, where there must be a limit.  Raises ConfigError."""
+    budget = given_budget(config)
+    if budget is None:
         raise ConfigError(
             "train.seconds=null, train.episodes=null, train.successes=null: expected a number for"
             " one of them"
         )
-    return Budget(config.seconds, config.episodes, config.successes)
+    return budget

@@ -70,10 +70,11 @@ def _check(config: Settings) -> None:
     at_least("compute.compile_after", config.compute.compile_after, 0)
 
 
-def build(config: Settings) -> Setup:
-    """Objects for ``edtorch-train``.  Raises ConfigError, which names the key."""
+def build(config: Settings, budget: Budget | None = None) -> Setup:
+    """Objects for ``edtorch-train``; budget: instead of that of the group ``train``.  Raises
+    ConfigError, which names the key."""
     _check(config)
-    budget = build_budget(config.train)
+    budget = build_budget(config.train) if budget is None else budget
     if config.train.until is not None:
         raise ConfigError(
             f"train.until={config.train.until}: expected null without a rival; a learner has"

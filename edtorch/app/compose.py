@@ -32,6 +32,15 @@ CONF = ROOT / "conf"
 """Found beside the package and not by name: a user's own folder ``conf`` may come first there."""
 
 
+def _unless_recorded(value: Any, *, _root_: Any) -> Any:
+    """In the files: a default of learners that live, null where they learn from recorded data."""
+    recorded = OmegaConf.select(_root_, "offline.variant") == "recorded"
+    return None if recorded else value
+
+
+OmegaConf.register_new_resolver("unless_recorded", _unless_recorded, replace=True)
+
+
 def compose(overrides: Sequence[str] = (), name: str = "train") -> Settings:
     """The complete settings of ``edtorch-train`` with these overrides.  Raises ConfigError."""
     with typing(overrides):

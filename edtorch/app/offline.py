@@ -13,6 +13,7 @@ from typing import Any, get_args
 import torch
 from rich.table import Table
 
+from edtorch.app.budget import given_budget
 from edtorch.app.build import Setup, build
 from edtorch.app.checks import at_least
 from edtorch.app.domain import described
@@ -30,7 +31,7 @@ from edtorch.report.domain import Domain
 from edtorch.report.milestones import milestone_figures
 from edtorch.report.statistics import Spread, by_row
 from edtorch.run.checkpoint import PolicyCard, write_atomically
-from edtorch.run.episodes import Episode
+from edtorch.run.episodes import Budget, Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.milestones import FirstSuccess, checkpoint
 from edtorch.run.offline import Lessons, Offline
@@ -45,11 +46,25 @@ _PIECE = 64
 """Transitions, or improvements, between two looks at whether to stop."""
 
 
+_REASONS = {
+    "other_seeds": "of other seeds",
+    "not_drawn": "not drawn",
+    "budget": "beyond the budget",
+    "masked": "masked",
+    "within": "beyond offline.within",
+}
+"""The fields of ``edtorch.run.offline.Unused`` in words."""
+_OWN = ("budget", "masked", "within")
+"""Those that concern a learner's own share of the data."""
+
+
 @dataclass(frozen=True)
 class OfflineSetup:
-    """Everything that learning from files is made of; masked: what was wrong with their rows."""
+    """Everything that learning from files is made of; budget: None where the data are used whole;
+    masked: what was wrong with their rows."""
 
     setup: Setup
+    budget: Budget | None
     offline: Offline
     steps: int
     masked: list[str]
@@ -126,7 +141,8 @@ def build_offline(config: Settings) -> OfflineSetup:
     """Objects for learning from files.  Raises ConfigError, and FileProblem for the files."""
     _refuse_beside(config)
     plain = config.merged({"compute": {"compile": "off"}})
-    setup = build(plain)
+    budget = given_budget(config.train)
+    setup = build(plain, budget or Budget(seconds=math.inf))
     own = config.offline
     at_least("offline.steps", own.steps, 0)
     at_least("offline.tolerance", own.tolerance, 0)
@@ -142,11 +158,28 @@ def build_offline(config: Settings) -> OfflineSetup:
             data,
             setup.seeds,
             lessons,
-            setup.budget,
+            budget,
             schedule=setup.schedule if own.improve else None,
             tolerance=own.tolerance,
         )
-    return OfflineSetup(setup, offline, own.steps, masked)
+    return OfflineSetup(setup, budget, offline, own.steps, masked)
+
+
+def _told_use(offline: Offline) -> str:
+    """How much of the data the learners learn from, and why not from the rest."""
+    used = Spread([*offline.used])
+    reasons = [
+        f"{_range(counts)} {words}"
+        for reason, words in _REASONS.items()
+        if any(counts := [getattr(each, reason) for each in offline.unused])
+    ]
+    rest = f"; left out: {', '.join(reasons)}" if reasons else ""
+    return f"transitions of each learner: {_range(used.known)} learned from{rest}"
+
+
+def _range(counts: Sequence[float]) -> str:
+    least, most = min(counts), max(counts)
+    return f"{least:.0f}" if least == most else f"{least:.0f} to {most:.0f}"
 
 
 def _warn(offline: Offline) -> None:
@@ -215,8 +248,8 @@ class RecordedLearners(Work):
         self.title = (
             f"{setup.world.spec.name}, {len(setup.seeds)} learners, from recorded transitions"
         )
-        self.notes = [f"{self.title}; {setup.path}"]
-        self.seeds, self.budget = setup.seeds, setup.budget
+        self.notes = [f"{self.title}; {setup.path}", _told_use(job.offline)]
+        self.seeds, self.budget = setup.seeds, job.budget
         self.columns, self.measures = self._snapshots.columns, []
         self.actor, self.observer = setup.learner.policy, setup.learner.observer
         self.world = setup.calm
@@ -302,11 +335,12 @@ class RecordedLearners(Work):
             FirstSuccess(any(e.success for e in fresh), paid, seconds, 0)
             for fresh, paid, seconds in zip(episodes, failures, offline.experience, strict=True)
         ]
+        left = {k: [getattr(each, k) for each in offline.unused] for k in _REASONS}
         figures: dict[str, list[int]] = {
             "episodes": [len(each) for each in own],
             domain.words.failures: failures,
             "transitions_used": offline.used,
-            "transitions_left_out": offline.unused,
+            "transitions_left_out": [sum(left[k][row] for k in _OWN) for row in range(len(own))],
             "steps": offline.steps.tolist(),
         }
         reached = {}
@@ -320,6 +354,7 @@ class RecordedLearners(Work):
             **reached,
             "offline": {
                 **{name: Spread([*counts]).as_json() for name, counts in figures.items()},
+                "left_out": {name: Spread([*counts]).as_json() for name, counts in left.items()},
                 "masked": self._job.masked,
             },
             "simulated_seconds": offline.experience,
@@ -328,4 +363,4 @@ class RecordedLearners(Work):
 
     def told(self, summary: dict[str, Any]) -> list[Table | str]:
         """Figures over the seeds."""
-        return [summary_table(summary, self._domain, self.title)]
+        return [summary_table(summary, self._domain, self.title), _told_use(self._offline)]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -23,7 +24,7 @@ from edtorch.policy.steps import gradient_norm
 from edtorch.run.episodes import Budget, Episode, Snapshot
 from edtorch.run.scaled_sim import World
 from edtorch.run.tick import Tally
-from edtorch.run.transitions_file import Recorded
+from edtorch.run.transitions_file import Recorded, first_rows
 from edtorch.types import Metrics, Parameters, Transition, replace, select
 from sims.base import Outcome
 
@@ -70,34 +71,32 @@ class Lessons:
         if self.passes < 1:
             raise ValueError(f"passes={self.passes}: expected at least one")
 
-    def assigned(self, data: Recorded, seed: int, budget: Budget) -> np.ndarray:
-        """Rows of ``data`` that make up the experience of the learner with this seed, in order,
-        those that it cannot learn from included.  ValueError if it has none."""
-        pieces = np.split(np.arange(len(data)), np.flatnonzero(np.diff(data.episode)) + 1)
+    def share_of(self, data: Recorded, seed: int) -> np.ndarray:
+        """Rows of ``data`` that the learner with this seed may have, in order.  ValueError if there
+        are none."""
+        first = np.flatnonzero(first_rows(data.episode))
+        after = np.append(first[1:], len(data))
         if self.share == "own":
-            pieces = [rows for rows in pieces if data.seed[rows[0]] == seed]
-            if not pieces:
+            own = data.seed[first] == seed
+            if not own.any():
                 known = sorted(set(data.seed[data.seed >= 0].tolist()))
                 listed = _listed(known) if known else "none: it names no seeds"
                 raise ValueError(
                     f"share=own: nothing is recorded of seed {seed}; the data have {listed};"
                     " expected those, or share=all or bootstrap"
                 )
+            first, after = first[own], after[own]
         if self.share == "bootstrap":
-            drawn = _generator(seed, _Draw.EPISODES).integers(len(pieces), size=len(pieces))
-            pieces = [pieces[place] for place in drawn]
-        if budget.episodes is not None:
-            pieces = pieces[: budget.episodes]
-        rows = np.concatenate(pieces)
-        most = len(rows)
-        if budget.seconds is not None:
-            lived = np.cumsum(_seconds(data, rows))
-            most = int(np.searchsorted(lived, budget.seconds * (1 + 1e-9), side="right"))
-        if budget.successes is not None:
-            good = np.flatnonzero(data.succeeded[rows])
-            if len(good) >= budget.successes:
-                most = min(most, int(good[budget.successes - 1]) + 1)
-        return rows[:most]
+            drawn = _generator(seed, _Draw.EPISODES).integers(len(first), size=len(first))
+            first, after = first[drawn], after[drawn]
+        lengths = after - first
+        before = np.cumsum(lengths) - lengths
+        return np.arange(lengths.sum()) + np.repeat(first - before, lengths)
+
+    def assigned(self, data: Recorded, seed: int, budget: Budget | None) -> np.ndarray:
+        """Rows of ``data`` that make up the experience of the learner with this seed, in order,
+        those that it cannot learn from included.  ValueError if it has none."""
+        return within_budget(data, self.share_of(data, seed), budget)
 
     def usable(self, data: Recorded, rows: np.ndarray) -> np.ndarray:
         """Those of ``rows`` that are learned from."""
@@ -114,6 +113,26 @@ class Lessons:
         return np.concatenate([generator.permutation(rows) for _ in range(self.passes)])
 
 
+def within_budget(data: Recorded, rows: np.ndarray, budget: Budget | None) -> np.ndarray:
+    """The first of ``rows``, whole episodes in order, that a budget allows; None: all of them."""
+    if budget is None:
+        return rows
+    most = len(rows)
+    if budget.episodes is not None:
+        begin = np.flatnonzero(first_rows(data.episode)[rows])
+        if len(begin) > budget.episodes:
+            most = int(begin[budget.episodes])
+    if budget.seconds is not None:
+        lived = np.cumsum(_seconds(data, rows))
+        allowed = np.searchsorted(lived, budget.seconds * (1 + 1e-9), side="right")
+        most = min(most, int(allowed))
+    if budget.successes is not None:
+        good = np.flatnonzero(data.succeeded[rows])
+        if len(good) >= budget.successes:
+            most = min(most, int(good[budget.successes - 1]) + 1)
+    return rows[:most]
+
+
 def _listed(seeds: Sequence[int], most: int = 10) -> str:
     more = f" and {len(seeds) - most} more" if len(seeds) > most else ""
     return "seeds " + ", ".join(map(str, seeds[:most])) + more
@@ -125,21 +144,50 @@ def _seconds(data: Recorded, rows: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(dt) & (dt > 0), dt, 0.0)
 
 
-def recorded_episodes(data: Recorded, rows: np.ndarray, row: int) -> list[Episode]:
-    """The episodes in the experience ``rows`` of the learner in place ``row``; of those that
-    somebody stopped nothing can be said, and they are left out."""
-    seconds = np.cumsum(_seconds(data, rows))
-    ends = np.flatnonzero(data.terminated[rows] | data.truncated[rows])
-    found: list[Episode] = []
-    start = 0.0
-    for number, end in enumerate(ends.tolist()):
-        at = rows[end]
-        if data.terminated[at]:
-            outcome = Outcome.SUCCEEDED if data.succeeded[at] else Outcome.FAILED
-            length = float(seconds[end]) - start
-            found.append(Episode(row, number, start, length, outcome, {}))
-        start = float(seconds[end])
-    return found
+@dataclass(frozen=True)
+class _Ends:
+    """The episodes in a learner's experience: where each ends in ``data``, and its first and last
+    second.  Nothing can be said of those that somebody stopped, which are numbered but left out."""
+
+    row: np.ndarray
+    number: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+
+    @staticmethod
+    def within(data: Recorded, rows: np.ndarray) -> _Ends:
+        seconds = np.cumsum(_seconds(data, rows))
+        places = np.flatnonzero(data.terminated[rows] | data.truncated[rows])
+        ends = seconds[places]
+        starts = np.append(0.0, ends)[:-1]
+        told = data.terminated[rows[places]]
+        number = np.arange(len(places))
+        return _Ends(rows[places][told], number[told], starts[told], ends[told])
+
+    def episodes(self, data: Recorded, row: int) -> list[Episode]:
+        """As those of the learner in place ``row``."""
+        good = data.succeeded[self.row].tolist()
+        numbers = (self.number.tolist(), self.start.tolist(), self.end.tolist())
+        return [
+            Episode(row, k, start, end - start, Outcome.SUCCEEDED if well else Outcome.FAILED, {})
+            for k, start, end, well in zip(*numbers, good, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class Unused:
+    """Rows of the data that a learner does not learn from, by reason.
+
+    other_seeds: recorded from other seeds (share=own); not_drawn: of no episode that was drawn
+    (share=bootstrap); budget: beyond it; masked: not ``valid``; within: sound, but beyond those
+    bounds.
+    """
+
+    other_seeds: int
+    not_drawn: int
+    budget: int
+    masked: int
+    within: int
 
 
 class Offline:
@@ -157,7 +205,7 @@ class Offline:
         data: Recorded,
         seeds: Sequence[int],
         lessons: Lessons,
-        budget: Budget,
+        budget: Budget | None,
         *,
         schedule: Schedule | None = None,
         tolerance: float = 1e-6,
@@ -169,26 +217,44 @@ class Offline:
         self.seeds = list(seeds)
         self.learners = learner.initial(self.seeds)
         self.clock = 0
-        self.episodes: list[Episode] = []
         self.experience: list[float] = []
         self.used: list[int] = []
-        self.unused: list[int] = []
+        self.unused: list[Unused] = []
+        self._data = data
+        self._ends: list[_Ends] = []
         self._schedule = schedule
         self._tolerance = tolerance
         self._order: list[np.ndarray] = []
-        for row, seed in enumerate(self.seeds):
-            rows = lessons.assigned(data, seed, budget)
+        for seed in self.seeds:
+            share = lessons.share_of(data, seed)
+            rows = within_budget(data, share, budget)
             usable = lessons.usable(data, rows)
             if len(usable) == 0:
                 raise ValueError(
                     f"data: seed {seed} has {len(rows)} transitions and none to learn from;"
                     " expected one that is sound and within bounds (within)"
                 )
-            self.episodes += recorded_episodes(data, rows, row)
+            self._ends.append(_Ends.within(data, rows))
             self.experience.append(float(_seconds(data, rows).sum()))
             self.used.append(len(usable))
-            self.unused.append(len(rows) - len(usable))
+            elsewhere = len(data) - len(np.unique(share))
+            sound = int(data.valid[rows].sum())
+            self.unused.append(
+                Unused(
+                    other_seeds=elsewhere if lessons.share == "own" else 0,
+                    not_drawn=elsewhere if lessons.share == "bootstrap" else 0,
+                    budget=len(share) - len(rows),
+                    masked=len(rows) - sound,
+                    within=sound - len(usable),
+                )
+            )
             self._order.append(lessons.sequence(usable, seed))
+        good = [int(data.succeeded[own.row].sum()) for own in self._ends]
+        self._counts = (
+            [len(own.row) for own in self._ends],
+            [len(own.row) - well for own, well in zip(self._ends, good, strict=True)],
+            good,
+        )
         self._lengths = torch.tensor([len(own) for own in self._order])
         scales = [
             [q.scale for q in quantities] for quantities in (world.spec.state, world.spec.action)
@@ -232,6 +298,11 @@ class Offline:
         """``[B]``: the step of an unroll from which on a covariance first had to be floored, -1 as
         long as none had."""
         return self._tally.first_floored
+
+    @cached_property
+    def episodes(self) -> list[Episode]:
+        """Those in the experience of each learner that came to an end of their own."""
+        return [e for row, own in enumerate(self._ends) for e in own.episodes(self._data, row)]
 
     def advance(self, ticks: int) -> int:
         """Learn from up to ``ticks`` more transitions each; returns how many."""
@@ -349,14 +420,14 @@ class Offline:
         sums, learners = self._tally, self.learners
         self._tally = sums.begun_anew()
         squares = [p.flatten(1).square().sum(-1) for p in learners.policy.values()]
-        own = [[e for e in self.episodes if e.row == row] for row in range(len(self.seeds))]
+        episodes, failures, successes = self._counts
         return Snapshot(
             seconds=self.seconds,
             seeds=self.seeds,
             active=self.moving.tolist(),
-            episodes=[len(episodes) for episodes in own],
-            failures=[sum(e.outcome is Outcome.FAILED for e in episodes) for episodes in own],
-            successes=[sum(e.outcome is Outcome.SUCCEEDED for e in episodes) for episodes in own],
+            episodes=episodes,
+            failures=failures,
+            successes=successes,
             episode_seconds=[0.0] * len(self.seeds),
             value=(sums.value / sums.updates).tolist(),
             gradient=(sums.gradient / sums.updates).tolist(),

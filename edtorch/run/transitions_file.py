@@ -254,7 +254,8 @@ def _check_flags(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
             )
 
 
-def _first_rows(episode: np.ndarray) -> np.ndarray:
+def first_rows(episode: np.ndarray) -> np.ndarray:
+    """Whether each row is the first of its episode; episode ``[N]``."""
     return np.append(True, np.diff(episode) != 0)
 
 
@@ -328,7 +329,7 @@ def _note_episodes(
 ) -> None:
     """Whether the rows of an episode follow one another, to its end."""
     episode = recorded.episode
-    first, last = _first_rows(episode), _last_rows(episode)
+    first, last = first_rows(episode), _last_rows(episode)
     piece = np.cumsum(first) - 1
     # Each number's first piece is the episode; the others were put between other episodes.
     starts = np.flatnonzero(first)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from dataclasses import replace as with_fields
 from typing import Any
 
@@ -18,7 +19,7 @@ from edtorch.policy.policies import LinearPolicy
 from edtorch.policy.steps import PlainStep
 from edtorch.rewards import QuadraticReward
 from edtorch.run.episodes import Budget
-from edtorch.run.offline import Lessons, Offline
+from edtorch.run.offline import Lessons, Offline, Unused
 from edtorch.run.scaled_sim import World
 from edtorch.run.transitions_file import Recorded
 from edtorch.transform import FirstOrder
@@ -209,6 +210,23 @@ def test_budgets_cut_the_data() -> None:
     assert count(Budget(successes=2), ridden) == 60
 
 
+def test_every_row_is_used_or_left_out_for_a_reason() -> None:
+    valid = np.arange(len(DATA)) % 5 != 0
+    data = with_fields(DATA, valid=valid)
+    for share in ("own", "all"):
+        lessons = Lessons(share, within=((0, 1.0),))
+        for budget in (None, Budget(episodes=2), Budget(seconds=9.0)):
+            offline = Offline(linear_learner(), NOISY, data, SEEDS, lessons, budget)
+            for used, unused in zip(offline.used, offline.unused, strict=True):
+                assert used + sum(astuple(unused)) == len(data)
+                assert (unused.budget == 0) == (budget is None) and unused.not_drawn == 0
+                assert unused.other_seeds == (120 if share == "own" else 0)
+    drawn = Lessons("bootstrap")
+    offline = Offline(linear_learner(), NOISY, DATA, SEEDS, drawn, None)
+    for seed, unused in zip(SEEDS, offline.unused, strict=True):
+        assert unused.not_drawn == len(DATA) - len(set(drawn.assigned(DATA, seed, None).tolist()))
+
+
 def test_only_what_is_within_bounds_is_learned_from() -> None:
     """Rows beyond a bound may hold anything."""
     far = np.abs(DATA.state[:, 0]) > 1.0
@@ -221,7 +239,10 @@ def test_only_what_is_within_bounds_is_learned_from() -> None:
     ]
     assert torch.equal(states[0].model["weight"], states[1].model["weight"])
     offline = Offline(linear_learner(), NOISY, DATA, SEEDS, lessons, ALL)
-    assert sum(offline.unused) == far.sum() and offline.experience == [60.0] * 3
+    assert (
+        sum(each.within for each in offline.unused) == far.sum()
+        and offline.experience == [60.0] * 3
+    )
 
 
 def test_masked_rows_are_paid_for_but_not_learned_from() -> None:
@@ -230,7 +251,8 @@ def test_masked_rows_are_paid_for_but_not_learned_from() -> None:
     offline = Offline(linear_learner(), NOISY, data, SEEDS, Lessons(), ALL)
     state = learned(offline, 0)
     assert bool(state.model["weight"].isfinite().all()) and bool(offline.finite.all())
-    assert offline.used == [48] * 3 and offline.unused == [12] * 3
+    assert offline.used == [48] * 3
+    assert offline.unused == [Unused(120, 0, 0, 12, 0)] * 3
     assert offline.experience == [60.0] * 3
 
 
