@@ -35,7 +35,7 @@ from edtorch.run.episodes import Budget, Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.milestones import FirstSuccess, checkpoint
 from edtorch.run.offline import Lessons, Offline
-from edtorch.run.transitions_file import Invalid, Recorded, joined, load_transitions
+from edtorch.run.transitions_file import Invalid, Loaded, joined, load_transitions
 from edtorch.told_apart import told_apart
 from edtorch.types import Parameters
 from sims.base import Outcome
@@ -61,13 +61,14 @@ _OWN = ("budget", "masked", "within")
 @dataclass(frozen=True)
 class OfflineSetup:
     """Everything that learning from files is made of; budget: None where the data are used whole;
-    masked: what was wrong with their rows."""
+    masked: what was wrong with rows that are left out; doubts: what is odd about the others."""
 
     setup: Setup
     budget: Budget | None
     offline: Offline
     steps: int
     masked: list[str]
+    doubts: list[str]
 
 
 def is_offline(config: Any) -> bool:
@@ -112,7 +113,7 @@ def _within(bounds: Any, setup: Setup) -> tuple[tuple[int, float], ...]:
     return tuple((names.index(name), float(bound)) for name, bound in bounds.items())
 
 
-def _load(config: Any, setup: Setup) -> tuple[Recorded, list[str]]:
+def _load(config: Any, setup: Setup) -> Loaded:
     paths = _paths(config.data)
     if config.invalid not in get_args(Invalid):
         raise ConfigError(
@@ -130,7 +131,8 @@ def _load(config: Any, setup: Setup) -> tuple[Recorded, list[str]]:
                 f"offline.data: has transitions of {found} s, expected the domain's {wanted} s:"
                 " a model of the next state is one of the step as well; see model=derivative"
             )
-    return data, [line for each in loaded for line in each.masked]
+    masked = [line for each in loaded for line in each.masked]
+    return Loaded(data, masked, [line for each in loaded for line in each.doubts])
 
 
 def _close(dt: Any, wanted: float) -> Any:
@@ -149,20 +151,20 @@ def build_offline(config: Settings) -> OfflineSetup:
     within = _within(own.within, setup)
     with under("offline"):
         lessons = Lessons(own.share, own.order, own.passes, within)
-    data, masked = _load(own, setup)
+    loaded = _load(own, setup)
     assert isinstance(setup.learner, Learner)
     with under("offline"):
         offline = Offline(
             setup.learner,
             setup.world,
-            data,
+            loaded.recorded,
             setup.seeds,
             lessons,
             budget,
             schedule=setup.schedule if own.improve else None,
             tolerance=own.tolerance,
         )
-    return OfflineSetup(setup, budget, offline, own.steps, masked)
+    return OfflineSetup(setup, budget, offline, own.steps, loaded.masked, loaded.doubts)
 
 
 def _told_use(offline: Offline) -> str:
@@ -288,6 +290,8 @@ class RecordedLearners(Work):
         """All transitions, then the improvements; a report every ``log.every`` seconds of data."""
         for line in self._job.masked:
             logger.warning("masked: %s", line)
+        for line in self._job.doubts:
+            logger.warning("%s", line)
         due = self._log_every
         for _ in self._offline.learn(self._job.steps, _PIECE):
             job.pause()
@@ -356,6 +360,7 @@ class RecordedLearners(Work):
                 **{name: Spread([*counts]).as_json() for name, counts in figures.items()},
                 "left_out": {name: Spread([*counts]).as_json() for name, counts in left.items()},
                 "masked": self._job.masked,
+                "warnings": self._job.doubts,
             },
             "simulated_seconds": offline.experience,
             "not_finite": not_finite(offline),

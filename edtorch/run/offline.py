@@ -22,9 +22,9 @@ from edtorch.learner.learner import Learner
 from edtorch.learner.schedule import Schedule
 from edtorch.policy.steps import gradient_norm
 from edtorch.run.episodes import Budget, Episode, Snapshot
+from edtorch.run.recorded import Recorded, first_rows
 from edtorch.run.scaled_sim import World
 from edtorch.run.tick import Tally
-from edtorch.run.transitions_file import Recorded, first_rows
 from edtorch.types import Metrics, Parameters, Transition, replace, select
 from sims.base import Outcome
 

@@ -7,14 +7,25 @@ file is said with its name and the row concerned.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from edtorch.run.checkpoint import FileProblem, write_atomically
+from edtorch.run.doubts import doubts
+from edtorch.run.plausible import (
+    FACTOR,
+    FEW,
+    beyond_limits,
+    foreign_ends,
+    off_the_clock,
+    periods,
+)
+from edtorch.run.recorded import Recorded, first_rows, last_rows, shorter_way
 from edtorch.run.recorder import Lived, ended
 from edtorch.run.transitions_meta import FORMAT, read_meta
 from edtorch.told_apart import told_apart
@@ -31,37 +42,13 @@ _ROUNDINGS = 16
 """Of a file's own precision, by which numbers may differ that should be equal."""
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """N transitions, those of an episode one after the other; numpy arrays, physical units.
-
-    state, next_state ``[N, n]``, action ``[N, m]`` (as applied), dt ``[N]`` in s; episode ``[N]``:
-    different numbers for different episodes; terminated, truncated ``[N]``: whether the episode
-    ends here, by itself or because somebody stopped; succeeded ``[N]``: whether it ends at the
-    goal; seed ``[N]``: of the learner that it was recorded from, -1 if that is not known; valid
-    ``[N]``: false where nothing is to be learned.
-    """
-
-    state: np.ndarray
-    action: np.ndarray
-    next_state: np.ndarray
-    dt: np.ndarray
-    episode: np.ndarray
-    terminated: np.ndarray
-    truncated: np.ndarray
-    succeeded: np.ndarray
-    seed: np.ndarray
-    valid: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.dt)
-
-
 class Loaded(NamedTuple):
-    """A file's transitions, and what was wrong with rows that were masked."""
+    """A file's transitions, what was wrong with rows that were masked, and what is odd about the
+    others (``edtorch.run.doubts``)."""
 
     recorded: Recorded
     masked: list[str]
+    doubts: list[str]
 
 
 def gathered(lives: Sequence[Lived], seeds: Sequence[int], dt: float) -> Recorded:
@@ -164,7 +151,8 @@ def load_transitions(path: Path, spec: Spec, invalid: Invalid = "refuse") -> Loa
         seed=layout.seed_of(arrays["episode"]),
         valid=np.ones(rows, dtype=bool),
     )
-    with np.errstate(over="ignore"):
+    # Of rows that are wrong, numbers may be anything.
+    with np.errstate(all="ignore"):
         wrong = _wrong(recorded, spec, rounding)
     if wrong and invalid == "refuse":
         first = min(wrong, key=lambda w: w.row)
@@ -173,10 +161,13 @@ def load_transitions(path: Path, spec: Spec, invalid: Invalid = "refuse") -> Loa
         raise FileProblem(f"{path}: row {first.row}: {first.text}{more}")
     for each in wrong:
         recorded = replace(recorded, valid=recorded.valid & ~each.masked)
-    ends = _last_rows(recorded.episode)
+    ends = last_rows(recorded.episode)
     truncated = recorded.truncated | (ends & ~recorded.terminated)
     masked = [f"{path}: row {w.row}: {w.text} ({int(w.rows.sum())} such)" for w in wrong]
-    return Loaded(replace(recorded, truncated=truncated), masked)
+    recorded = replace(recorded, truncated=truncated)
+    with np.errstate(all="ignore"):
+        odd = doubts(recorded, spec)
+    return Loaded(recorded, masked, [f"{path}: {line}" for line in odd])
 
 
 def joined(parts: Sequence[Recorded]) -> Recorded:
@@ -254,15 +245,6 @@ def _check_flags(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
             )
 
 
-def first_rows(episode: np.ndarray) -> np.ndarray:
-    """Whether each row is the first of its episode; episode ``[N]``."""
-    return np.append(True, np.diff(episode) != 0)
-
-
-def _last_rows(episode: np.ndarray) -> np.ndarray:
-    return np.append(np.diff(episode) != 0, True)
-
-
 class _Wrong(NamedTuple):
     """rows ``[N]``: what is wrong; masked ``[N]``: what is not to be learned from; row, text: the
     first."""
@@ -302,7 +284,46 @@ def _wrong(recorded: Recorded, spec: Spec, rounding: float) -> list[_Wrong]:
     )
     _note_bounds(recorded, spec, rounding, note)
     _note_episodes(recorded, spec, rounding, sound, note)
+    _note_contradictions(recorded, spec, rounding, found, note)
     return found
+
+
+def _note_contradictions(
+    recorded: Recorded, spec: Spec, rounding: float, wrong: Sequence[_Wrong], note: Any
+) -> None:
+    """Rows that contradict the others or the domain, of those that nothing is wrong with so far."""
+    dt = recorded.dt
+    note(
+        off_the_clock(recorded, spec),
+        lambda row: (
+            f"dt is {dt[row]:g}, expected less than {FACTOR:g} times more or less than the domain's"
+            f" {spec.dt:g} (s)"
+        ),
+    )
+    sound = ~np.logical_or.reduce([np.zeros(len(dt), dtype=bool), *(w.masked for w in wrong)])
+    found = beyond_limits(recorded, spec) & sound[:, None]
+    rows = found.any(-1)
+    if rows.sum() > FEW * len(rows):
+
+        def text(row: int) -> str:
+            column = int(found[row].argmax())
+            q = spec.state[column]
+            values = (recorded.state[row, column], recorded.next_state[row, column])
+            limit = f"within {q.limit:g}" if q.limit < math.inf else f"{q.low:g} to {q.high:g}"
+            return (
+                f"state {q.name} goes from {values[0]:g} to {values[1]:g} {q.unit}, expected"
+                f" {limit} where an episode does not end; so {int(rows.sum())} of {len(rows)} rows:"
+                f" expected the domain's units and limits"
+            )
+
+        note(rows, text)
+    note(
+        foreign_ends(recorded, spec, rounding, sound),
+        lambda row: (
+            f"the last next_state of episode {recorded.episode[row]} is the first state of another"
+            " episode, and does not follow from the state before"
+        ),
+    )
 
 
 def _note_bounds(recorded: Recorded, spec: Spec, rounding: float, note: Any) -> None:
@@ -329,7 +350,7 @@ def _note_episodes(
 ) -> None:
     """Whether the rows of an episode follow one another, to its end."""
     episode = recorded.episode
-    first, last = first_rows(episode), _last_rows(episode)
+    first, last = first_rows(episode), last_rows(episode)
     piece = np.cumsum(first) - 1
     # Each number's first piece is the episode; the others were put between other episodes.
     starts = np.flatnonzero(first)
@@ -362,10 +383,7 @@ def _note_episodes(
         np.zeros(len(episode), dtype=bool),
     )
     inner = np.flatnonzero(~last & ~over & sound & np.append(sound[1:], False))
-    gap = recorded.next_state[inner] - recorded.state[inner + 1]
-    period = np.array([q.period for q in spec.state])
-    turns = np.where(period > 0, gap / np.where(period > 0, period, 1.0), 0.0)
-    gap = np.abs(gap - period * np.round(turns))
+    gap = np.abs(shorter_way(recorded.next_state[inner] - recorded.state[inner + 1], periods(spec)))
     scale = np.array([q.scale for q in spec.state])
     allowed = rounding * (scale + np.abs(recorded.state[inner + 1]))
     broken = np.zeros(len(episode), dtype=bool)

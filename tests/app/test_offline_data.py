@@ -65,3 +65,25 @@ def test_seeds_that_are_null(command: Command, workplace: Path) -> None:
     found = command("edtorch-train", *LEARN)
     assert found.status == 1
     assert found.line.startswith("edtorch-train: data.npz: meta.seeds=null: expected a list of")
+
+
+@pytest.mark.experiment
+def test_what_contradicts_itself_is_refused_or_masked_and_the_odd_is_told(
+    command: Command, workplace: Path
+) -> None:
+    """Flat arrays of observations taken for transitions, with a sensor that stands still."""
+    arrays = linear_arrays()
+    arrays["next_state"] = np.roll(arrays["state"], -1, axis=0)
+    arrays["state"][:, 1] = arrays["next_state"][:, 1] = 0.5
+    np.savez(workplace / "data.npz", **arrays)
+    refused = command("edtorch-train", *LEARN)
+    assert refused.status == 1
+    assert "data.npz: row 3: the last next_state of episode 0 is the first" in refused.line
+    masked = command("edtorch-train", *LEARN, "offline.invalid=mask", "hydra.run.dir=run")
+    assert masked.status == 0, masked.err
+    odd = "data.npz: state state_1 is 0.5 in all of "
+    assert odd in masked.err and odd in (workplace / "run" / "run.log").read_text()
+    summary = _summary(workplace / "run")
+    (rows,) = summary["left_out"]["masked"]["per_seed"]
+    assert 8 <= rows <= 10 and summary["transitions_used"]["per_seed"] == [40 - rows]
+    assert len(summary["masked"]) == 1 and summary["warnings"][0].startswith(odd)
