@@ -27,7 +27,7 @@ _ARGUMENTS = (
     (r"domain\.(env_id|env)\b", "env"),
     (r"domain\.state_names\b", "names"),
     (r"domain\.(state|action)_scale\b", "scale"),
-    (r"domain(\.|: (?=\w+\.))", ""),
+    (r"domain\.", ""),
     (r"reward\.target\.", "target."),
     (r"reward\.(state|action)\.", "weights."),
     (r"train\.", ""),

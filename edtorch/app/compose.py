@@ -17,8 +17,8 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from edtorch.app.errors import ConfigError, one_line
-from edtorch.app.options import options_named
-from edtorch.app.overrides import typing
+from edtorch.app.options import options_named, without_presets
+from edtorch.app.overrides import typed, typing
 from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
 from edtorch.beside import ROOT
@@ -81,7 +81,8 @@ def plainly(composed: Any) -> dict[str, Any]:
     """What Hydra composed as dicts and lists, interpolations resolved."""
     content = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     assert isinstance(content, dict)
-    return {str(key): value for key, value in content.items() if key != "hydra"}
+    settings = {str(key): value for key, value in content.items() if key != "hydra"}
+    return without_presets(settings, typed())
 
 
 def launch(task: Callable[[Any], Any], folder: Path, name: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +14,9 @@ from edtorch.app.given import Given
 from edtorch.app.settings import Settings, plain
 from edtorch.beside import hidden
 from edtorch.renamed import current_target
+
+# What it says of a class that it cannot find is in the error, too.
+logging.getLogger("hydra.utils").setLevel(logging.CRITICAL)
 
 _GATHERING = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 

@@ -61,7 +61,7 @@ def under(group: str) -> Iterator[None]:
         yield
     except (ValueError, TypeError) as error:
         text = " ".join(str(error).split())
-        names_argument = re.match(r"[\w.]+(\[[^]]*\])?=", text) is not None
+        names_argument = re.match(r"[\w.]+(\[[^]]*\])?=|\w+(\.\w+)+: ", text) is not None
         raise ConfigError(f"{group}.{text}" if names_argument else f"{group}: {text}") from error
 
 

@@ -145,7 +145,7 @@ class Learners(Work):
 
     def _fresh_notes(self) -> list[str]:
         """What the sim has to say that it had not said before."""
-        notes = list(getattr(self._setup.world.sim, "notes", ()))
+        notes: list[str] = [*getattr(self._setup.world.sim, "notes", ())]
         before, self._noted = self._noted, len(notes)
         return notes[before:]
 

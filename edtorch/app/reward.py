@@ -212,7 +212,8 @@ def _check_target(name: str, value: Any, quantity: Quantity) -> float:
         low, high = max(low, middle - half), min(high, middle + half)
     if not low <= number <= high:
         raise ConfigError(
-            f"{key}={value}: expected a number from {low:g} to {high:g} {quantity.unit}".rstrip()
+            f"{key}={value}: expected a number from {low:g} to {high:g}"
+            f"{'' if quantity.unit in ('', '1') else f' {quantity.unit}'}"
         )
     return number
 

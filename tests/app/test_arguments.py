@@ -38,7 +38,7 @@ def test_kinds_that_fit() -> None:
     ("message", "told"),
     [
         ("domain.state_scale.x=1: expected", "scale.x=1: expected"),
-        ("domain: angles.x: not there", "angles.x: not there"),
+        ("domain.angles.x: not there", "angles.x: not there"),
         ("reward.state.x=-1: expected", "weights.x=-1: expected"),
     ],
 )

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from edtorch.app.options import without_presets
+
 PARTS = """
 import torch
 from torch import nn
@@ -120,6 +122,20 @@ def test_refusals(command: Callable[..., Any], given: tuple[str, ...], line: str
     result = command("edtorch-train", *LINEAR, *given)
     assert result.status == 1
     assert line in result.line
+
+
+def test_what_a_preset_sets_in_a_group_is_not_for_an_option_written_out() -> None:
+    reward = {"_target_": "my.bump", "price": 0.1, "by_scale": True}
+    step = {"_target_": "my.Step", "size": 2, "alpha": 3}
+    found = without_presets(
+        {"reward": reward, "step": step, "model": {"features": "affine"}},
+        ["model=derivative", "reward={_target_: my.bump, price: 0.1}", "+step={}", "step.size=2"],
+    )
+    assert found == {
+        "reward": {"_target_": "my.bump", "price": 0.1},
+        "step": {"size": 2},
+        "model": {"features": "affine"},
+    }
 
 
 @pytest.mark.usefixtures("parts")

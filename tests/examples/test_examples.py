@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -45,3 +46,44 @@ def test_population() -> None:
 def test_own_reward_and_policy() -> None:
     found = example("own_reward_and_policy.py")["main"](seconds=0.5, seeds=1)
     assert len(found["return"]) == 1
+
+
+SHORT = {
+    "inverted_pendulum": 1,
+    "inverted_double_pendulum": 1,
+    "pendulum": 11,
+    "mountain_car": 100,
+    "reacher": 3,
+    "pusher": 6,
+    "swimmer": 2,
+    "lunar_lander": 4,
+    "cartpole_balance": 1,
+    "ball_in_cup": 1,
+    "cart_pole": 4,
+    "quadrotor": 3,
+}
+"""Simulated seconds in each environment."""
+UNKNOWN = ("pendulum", "cartpole_balance", "ball_in_cup")
+"""Those that neither fail nor say what a success is."""
+
+
+# Box2D and glfw warn when they are imported; as an error that ends the process.
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.oracle
+@pytest.mark.parametrize("name", SHORT)
+def test_environments(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Imported by dm_control, absl keeps the stream of the moment, which pytest closes after a test.
+    monkeypatch.setattr(sys, "stderr", sys.__stderr__)
+    learn = example("environments.py")["ENVIRONMENTS"][name]
+    quick = ("eval.episodes=0", "log.figures=false", "log.tensorboard=false")
+    # Simulating dm_control's 1,000 steps takes seconds.
+    limit = {"time_limit": 2.0} if name in ("cartpole_balance", "ball_in_cup") else {}
+    run = learn(seconds=SHORT[name], overrides=quick, progress=False, **limit)
+    found = run.evaluate(1)
+    assert all(isinstance(r, float) for r in found["return"])
+    assert (found["success_rate"] == [None]) == (name in UNKNOWN)
+    assert found["failure_rate"] == [0.0] or found["success_rate"] == [0.0]
+
+
+def test_each_environment_is_tested() -> None:
+    assert set(example("environments.py")["ENVIRONMENTS"]) == set(SHORT)
