@@ -25,7 +25,7 @@ def inverted_pendulum(**more: Any) -> edtorch.Run:
 
 
 def inverted_double_pendulum(**more: Any) -> edtorch.Run:
-    """Held only with the angles declared: cosines and sines are not linear in anything."""
+    """Held by some seeds, with the angles declared: a cosine is not linear in anything."""
     return edtorch.learn(
         "InvertedDoublePendulum-v5",
         names=["x", "sin1", "sin2", "cos1", "cos2", "v", "rate1", "rate2", "force"],
