@@ -195,6 +195,19 @@ def test_saved_and_loaded(run: Run, tmp_path: Path) -> None:
     assert result.status == 0, result.err
 
 
+def test_lasting_is_a_success_once_an_episode_of_the_run_has_failed(
+    run: Run, tmp_path: Path
+) -> None:
+    assert run.evaluate(1)["success_rate"] == [None, None]
+    folder = run.save(tmp_path / "mine")
+    path = folder / "episodes.csv"
+    path.write_text(path.read_text() + "4,9,5,1,failed,-1,0\n")
+    assert edtorch.load(folder, env=Cart).evaluate(1)["success_rate"] == [1, 1]
+    assert call("edtorch-eval", f"run={folder}", "episodes=1").status == 0
+    (written,) = folder.glob("eval_*.json")
+    assert json.loads(written.read_text())["success_rate"]["per_seed"] == [1, 1]
+
+
 def test_local_objects_must_be_given_again(tmp_path: Path) -> None:
     run = learn(lambda: Cart(), save=tmp_path / "mine")
     with pytest.raises(ValueError, match=r"env: was an object, .*<lambda>; expected it"):
