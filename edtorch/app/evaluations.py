@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
+
+from torch import Tensor
 
 from edtorch.app.best import Kept, better
 from edtorch.app.build import Setup
@@ -20,8 +22,7 @@ from edtorch.report.text import number
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.milestones import MILESTONES
-from edtorch.run.training import Training
-from edtorch.types import Parameters
+from edtorch.types import LearnerState, Parameters
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,45 @@ class News:
     figures: dict[str, Any]
 
 
+class Learned(Protocol):
+    """Learners that have learned, however they came by their experience."""
+
+    seeds: list[int]
+    clock: int
+
+    @property
+    def seconds(self) -> float:
+        """Of the learner that has lived longest."""
+        ...
+
+    @property
+    def learners(self) -> LearnerState:
+        """What they know."""
+        ...
+
+    @property
+    def episodes(self) -> list[Episode]:
+        """Of all of them."""
+        ...
+
+    @property
+    def finite(self) -> Tensor:
+        """``[3, B]``: see ``edtorch.learner.learner.Check``."""
+        ...
+
+    @property
+    def first_floored(self) -> Tensor:
+        """``[B]``: the step of an unroll from which on a covariance first had to be floored, or
+        -1."""
+        ...
+
+    def counts(self, row: int) -> tuple[int, int]:
+        """Episodes and failures of a learner."""
+        ...
+
+
 class Evaluations:
-    """Evaluates when it is time; ``wall_s`` and ``cpu_s`` are what that has taken so far.
+    """Evaluates when it is time; ``cpu_s`` is what that has taken so far.
 
     After each of ``eval.minutes`` the policies are tried for the milestones.  In a family of tasks
     (``Spec.goal``), and with ``eval.keep``, each policy runs all its fresh episodes and every
@@ -74,7 +112,7 @@ class Evaluations:
         measures = self.domain.measures
         self.trials = Trials(size, self._episodes, self._fresh, measures) if self._due else None
         self._clock = -1
-        self.wall_s = self.cpu_s = 0.0
+        self.cpu_s = 0.0
         self._began = time.process_time()
         self._ticks = [0] * size
         self._tried_at = [0] * size
@@ -85,7 +123,7 @@ class Evaluations:
         later = [tick - clock for tick in self._due if tick > clock]
         return min([most, *later])
 
-    def run_if_due(self, training: Training) -> News | None:
+    def run_if_due(self, training: Learned) -> News | None:
         """Evaluate if this is the tick for it."""
         if training.clock not in self._due:
             return None
@@ -101,16 +139,16 @@ class Evaluations:
             figures, told = self._try(training)
         return News(minutes, ", ".join(told), figures)
 
-    def is_fresh(self, training: Training) -> bool:
+    def is_fresh(self, training: Learned) -> bool:
         """Whether there has been one in full at this very tick."""
         return self._clock == training.clock
 
-    def run(self, training: Training) -> Evaluation:
+    def run(self, training: Learned) -> Evaluation:
         """Evaluate now and in full, unless that has just been done."""
         if self.is_fresh(training):
             return self.done[-1]
         self._charge(training)
-        wall, cpu = time.monotonic(), time.process_time()
+        cpu = time.process_time()
         episodes, minutes = [[] for _ in training.seeds], training.seconds / 60
         if self._episodes:
             count = self._episodes
@@ -126,20 +164,19 @@ class Evaluations:
             self._tried_at = list(self._ticks)
         self._clock = training.clock
         self.done.append(Evaluation(minutes, episodes))
-        self.wall_s += time.monotonic() - wall
         self.cpu_s += time.process_time() - cpu
         return self.done[-1]
 
-    def leave_out(self, training: Training) -> None:
+    def leave_out(self, training: Learned) -> None:
         """Close a run that was interrupted, without episodes."""
         if not self.done:
             self.done.append(Evaluation(training.seconds / 60, [[] for _ in training.seeds]))
 
-    def _try(self, training: Training) -> tuple[dict[str, Any], list[str]]:
+    def _try(self, training: Learned) -> tuple[dict[str, Any], list[str]]:
         """For the milestones alone: figures of the last trials, and how many have been where."""
         assert self.trials is not None
         self._charge(training)
-        wall, cpu = time.monotonic(), time.process_time()
+        cpu = time.process_time()
         self._look_at(training)
         there = [all(own) for own in zip(*map(self.trials.reached, MILESTONES), strict=True)]
         rows = [row for row in self._changed() if not there[row]]
@@ -153,7 +190,6 @@ class Evaluations:
         }
         size = len(last)
         told = [f"{name} {sum(self.trials.reached(name))} of {size}" for name in MILESTONES]
-        self.wall_s += time.monotonic() - wall
         self.cpu_s += time.process_time() - cpu
         return figures, told
 
@@ -172,12 +208,12 @@ class Evaluations:
             among=self._among,
         )
 
-    def _look_at(self, training: Training) -> None:
+    def _look_at(self, training: Learned) -> None:
         """What ``_fresh`` needs of it: the policies, and the episodes of the run."""
         self._parameters = self._setup.learner.acting(training.learners)
         self._among = training.episodes
 
-    def _charge(self, training: Training) -> None:
+    def _charge(self, training: Learned) -> None:
         """Share the CPU seconds of learning since the last call out among those who lived."""
         spent = time.process_time() - self._began - self.cpu_s - sum(self._paid_cpu_s)
         ticks = training.learners.tick.tolist()
@@ -195,12 +231,12 @@ class Evaluations:
             if now > then or not self.trials.history[row]
         ]
 
-    def _paid(self, training: Training, row: int) -> Paid:
-        here = training.worlds
+    def _paid(self, training: Learned, row: int) -> Paid:
+        episodes, failures = training.counts(row)
         return Paid(
-            seconds=self._ticks[row] * training.world.dt,
-            episodes=int(here.episodes[row]),
-            failures=int(here.failures[row]),
+            seconds=self._ticks[row] * self._setup.world.dt,
+            episodes=episodes,
+            failures=failures,
             cpu_s=self._paid_cpu_s[row],
         )
 
@@ -224,7 +260,7 @@ class Evaluations:
             "checkpoints": checkpoint_figures(history, self.domain),
         }
 
-    def to_save(self, training: Training) -> Parameters:
+    def to_save(self, training: Learned) -> Parameters:
         """The policies that the run saves: the best ones if kept, else the current ones."""
         if self.kept is None:
             return self._setup.learner.acting(training.learners)

@@ -9,7 +9,7 @@ import contextlib
 import logging
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,8 +39,8 @@ class Work(ABC):
 
     title: for people; notes: what to say at the start; seeds: one learner or search each; budget:
     of each, None where there is none; columns: of ``metrics.csv``; measures: the sim's own that
-    ``episodes.csv`` has, None: there is no such file; actor, observer: of its policies; world:
-    makes one to evaluate them in.
+    ``episodes.csv`` has, None: there is no such file; actor, observer, card: of its policies;
+    world: makes one to evaluate them in.
     """
 
     title: str
@@ -51,6 +51,7 @@ class Work(ABC):
     measures: Sequence[str] | None = None
     actor: Actor
     observer: Observer | None = None
+    card: PolicyCard
     world: Callable[[], World]
 
     @property
@@ -74,19 +75,9 @@ class Work(ABC):
         return self.parameters
 
     @property
-    @abstractmethod
-    def card(self) -> PolicyCard:
-        """Of the file that they are saved in."""
-
-    @property
     def episodes(self) -> Sequence[Episode]:
         """Those of the learning that are kept."""
         return ()
-
-    @property
-    def evaluating(self) -> tuple[float, float]:
-        """Wall and CPU seconds that evaluations have taken."""
-        return 0.0, 0.0
 
     @abstractmethod
     def run(self, job: Job) -> None:
@@ -142,6 +133,7 @@ class Job:
         self._sinks = sinks
         self._save = save
         self._next_save = config.log.checkpoint
+        self._eval_cpu_s = 0.0
         for note in work.notes:
             logger.info("%s", note)
 
@@ -154,9 +146,8 @@ class Job:
                 work.run(self)
         finally:
             with self._stop.not_now():
-                eval_wall_s, eval_cpu_s = work.evaluating
-                timing.wall_s = time.monotonic() - wall - eval_wall_s
-                timing.cpu_s = time.process_time() - cpu - eval_cpu_s
+                timing.wall_s = time.monotonic() - wall - timing.eval_s
+                timing.cpu_s = time.process_time() - cpu - self._eval_cpu_s
                 timing.ticks = work.ticks
                 self._save(work, True)
         if self._stop.asked:
@@ -179,8 +170,16 @@ class Job:
 
     def evaluate(self) -> None:
         """Run the evaluation at the end."""
-        self.work.evaluate(self)
-        self.timing.eval_s, _ = self.work.evaluating
+        with self.evaluation():
+            self.work.evaluate(self)
+
+    @contextlib.contextmanager
+    def evaluation(self) -> Iterator[None]:
+        """What the work does meanwhile does not count as learning."""
+        wall, cpu = time.monotonic(), time.process_time()
+        yield
+        self.timing.eval_s += time.monotonic() - wall
+        self._eval_cpu_s += time.process_time() - cpu
 
     def summary(self) -> dict[str, Any]:
         """The content of ``summary.json``."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import logging
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,31 +15,26 @@ from rich.table import Table
 from edtorch.app.build import Setup
 from edtorch.app.domain import described
 from edtorch.app.errors import ConfigError
-from edtorch.app.evaluations import Evaluations, News
-from edtorch.app.job import Job, Work
+from edtorch.app.evaluations import News
+from edtorch.app.job import Job
+from edtorch.app.learning import Learning
 from edtorch.app.pictures import draw, draw_tasks
 from edtorch.app.reward import near_seams
 from edtorch.app.rundir import CHECKPOINT, TRANSITIONS, command_line, versions
 from edtorch.app.settings import Settings
 from edtorch.app.summary import (
-    broken,
     never_succeeded,
-    snapshots_of,
     summarise,
     summary_table,
 )
 from edtorch.compiled.compilation import CannotCompile
 from edtorch.compiled.tiles import Tiles
-from edtorch.errors import CovarianceFloored
 from edtorch.learner.learner import Learner
-from edtorch.report.statistics import evaluation_figures
-from edtorch.run.checkpoint import PolicyCard, save_training
-from edtorch.run.episodes import Episode
+from edtorch.run.checkpoint import save_training
 from edtorch.run.log import Entry, spread_scalars
 from edtorch.run.recorder import Recorder
 from edtorch.run.training import Training
 from edtorch.run.transitions_file import gathered, save_transitions
-from edtorch.types import Parameters
 
 logger = logging.getLogger("edtorch")
 
@@ -48,12 +42,12 @@ _PIECE = 64
 """Ticks between two looks at whether to stop."""
 
 
-class Learners(Work):
-    """A population; the policies that it leaves are the best so far with ``eval.keep``."""
+class Learners(Learning):
+    """Learners that live in their worlds."""
 
     def __init__(self, setup: Setup, config: Settings) -> None:
         self._setup = setup
-        self._config = config
+        self._log_every: float = config.log.every
         self._recorder: Recorder | None = None
         self._noted = 0
         notes = [*self._fresh_notes(), *near_seams(config.reward, setup.world.spec)]
@@ -70,54 +64,19 @@ class Learners(Work):
             self._recorder,
         )
         world, zero = training.worlds.world[:1], torch.zeros(1, dtype=torch.float64)
-        self.domain = described(setup.world, setup.world.sim.measures(world, world, zero))
-        self._evaluations = Evaluations(setup, config, self.domain)
-        self._snapshots = snapshots_of(self.domain)
-        self.title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
-        self.seeds, self.budget = setup.seeds, setup.budget
-        budget = setup.budget.in_words(self.domain.words.successes)
+        domain = described(setup.world, setup.world.sim.measures(world, world, zero))
+        title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
+        super().__init__(setup, config, training, domain, title)
+        budget = setup.budget.in_words(domain.words.successes)
         precision = "float64" if setup.world.dtype.itemsize == 8 else "mixed precision"
-        self.notes = [*notes, f"{self.title}; at most {budget} each; {setup.path}; {precision}"]
-        self.columns = self._snapshots.columns
-        self.measures = [m.name for m in self.domain.measures]
-        self.actor, self.observer = setup.learner.policy, setup.learner.observer
-        self.world = setup.calm
-
-    @property
-    def seconds(self) -> float:
-        """See ``Work``."""
-        return self._training.seconds
-
-    @property
-    def ticks(self) -> int:
-        """See ``Work``."""
-        return int(self._training.learners.tick.sum())
-
-    @property
-    def parameters(self) -> Parameters:
-        """See ``Work``."""
-        return self._evaluations.to_save(self._training)
-
-    @property
-    def card(self) -> PolicyCard:
-        """See ``Work``."""
-        return self._setup.card
-
-    @property
-    def episodes(self) -> Sequence[Episode]:
-        """See ``Work``."""
-        return self._training.episodes
-
-    @property
-    def evaluating(self) -> tuple[float, float]:
-        """See ``Work``."""
-        return self._evaluations.wall_s, self._evaluations.cpu_s
+        self.notes = [*notes, f"{title}; at most {budget} each; {setup.path}; {precision}"]
+        self.measures = [m.name for m in domain.measures]
 
     def run(self, job: Job) -> None:
         """The loop to the end of every budget."""
         training, setup = self._training, self._setup
-        per_snapshot = max(1, round(self._config.log.every / training.world.dt))
-        reported, warned, floored = 0, set[int](), set[int]()
+        per_snapshot = max(1, round(self._log_every / training.world.dt))
+        reported = 0
         waiting, after = setup.compiled, setup.compute.after
         while not training.done:
             if waiting is not None and training.clock >= after:
@@ -135,11 +94,11 @@ class Learners(Work):
                 snapshot = dataclasses.replace(snapshot, value_error=estimate.tolist())
             for note in self._fresh_notes():
                 logger.info("%s", note)
-            _warn_of_trouble(training, warned)
-            _warn_of_floors(training, floored)
+            self._warn()
             job.take(self._snapshots.entry(snapshot, training.episodes[reported:]))
             reported = len(training.episodes)
-            news = self._evaluations.run_if_due(training)
+            with job.evaluation():
+                news = self._evaluations.run_if_due(training)
             if news is not None:
                 job.take(_entry(news))
 
@@ -148,16 +107,6 @@ class Learners(Work):
         notes: list[str] = [*getattr(self._setup.world.sim, "notes", ())]
         before, self._noted = self._noted, len(notes)
         return notes[before:]
-
-    def evaluate(self, job: Job) -> None:
-        """Fresh episodes of each policy."""
-        count = self._config.eval.episodes
-        if count and not self._evaluations.is_fresh(self._training):
-            job.console.print(f"{count} fresh episodes for each policy...")
-        last = self._evaluations.run(self._training)
-        figures = evaluation_figures(last.episodes, self.domain.measures, self.domain.words)
-        scalars = spread_scalars("evaluation", figures)
-        job.take(Entry(scalars=scalars, step=round(self.seconds)))
 
     def save(self, folder: Path, *, ended: bool) -> None:
         """The population, and in the end its transitions if they are kept."""
@@ -198,35 +147,6 @@ def _entry(news: News) -> Entry:
         step=round(60 * news.minutes),
         news=f"after {news.minutes:g} min: {news.text}",
     )
-
-
-def _warn_of_trouble(training: Training, warned: set[int]) -> None:
-    """One line for each learner whose numbers broke, when it is first seen."""
-    for row, (place, tick) in broken(training).items():
-        if row not in warned:
-            warned.add(row)
-            logger.warning(
-                "seed %d: not finite in %s from tick %d (%.2f s) on; such updates are skipped",
-                training.seeds[row],
-                place,
-                tick,
-                tick * training.world.dt,
-            )
-
-
-def _warn_of_floors(training: Training, warned: set[int]) -> None:
-    """One line for each learner whose covariances had to be repaired, when it is first seen."""
-    for row in (training.first_floored >= 0).nonzero().flatten().tolist():
-        if row not in warned:
-            warned.add(row)
-            logger.warning(
-                "seed %d: %s from step %d of the unroll on (tick %d or before): the covariance was "
-                "not positive semidefinite",
-                training.seeds[row],
-                CovarianceFloored.__name__,
-                int(training.first_floored[row]),
-                training.clock,
-            )
 
 
 def _go_on_compiled(training: Training, learner: Learner, *, required: bool) -> None:

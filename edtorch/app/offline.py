@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,26 +17,23 @@ from edtorch.app.build import Setup, build
 from edtorch.app.checks import at_least
 from edtorch.app.domain import described
 from edtorch.app.errors import ConfigError, under
-from edtorch.app.evaluations import Evaluation
 from edtorch.app.inverse import has_inverse
-from edtorch.app.job import Job, Work
+from edtorch.app.job import Job
+from edtorch.app.learning import Learning
 from edtorch.app.random_search import is_rival
 from edtorch.app.rundir import CHECKPOINT, TRANSITIONS
 from edtorch.app.settings import Settings
-from edtorch.app.summary import broken, not_finite, result_figures, snapshots_of, summary_table
-from edtorch.errors import CovarianceFloored
+from edtorch.app.summary import not_finite, result_figures, summary_table
 from edtorch.learner.learner import Learner
 from edtorch.report.domain import Domain
 from edtorch.report.milestones import milestone_figures
 from edtorch.report.statistics import Spread, by_row
-from edtorch.run.checkpoint import PolicyCard, write_atomically
+from edtorch.run.checkpoint import write_atomically
 from edtorch.run.episodes import Budget, Episode
-from edtorch.run.evaluation import evaluate
 from edtorch.run.milestones import FirstSuccess, checkpoint
 from edtorch.run.offline import Lessons, Offline
 from edtorch.run.transitions_file import Invalid, Loaded, joined, load_transitions
 from edtorch.told_apart import told_apart
-from edtorch.types import Parameters
 from sims.base import Outcome
 
 logger = logging.getLogger("edtorch")
@@ -184,31 +180,6 @@ def _range(counts: Sequence[float]) -> str:
     return f"{least:.0f}" if least == most else f"{least:.0f} to {most:.0f}"
 
 
-def _warn(offline: Offline) -> None:
-    for row, (place, tick) in broken(offline).items():
-        logger.warning(
-            "seed %d: not finite in %s (%d sound transitions before it); such updates are skipped",
-            offline.seeds[row],
-            place,
-            tick,
-        )
-    for row in (offline.first_floored >= 0).nonzero().flatten().tolist():
-        logger.warning(
-            "seed %d: %s from step %d of the unroll on: the covariance was not positive"
-            " semidefinite",
-            offline.seeds[row],
-            CovarianceFloored.__name__,
-            int(offline.first_floored[row]),
-        )
-    going = [s for s, on in zip(offline.seeds, offline.moving.tolist(), strict=True) if on]
-    if going:
-        logger.warning(
-            "offline.steps: %d of %d policies were still moving after the last one",
-            len(going),
-            len(offline.seeds),
-        )
-
-
 def _milestones(
     offline: Offline,
     fresh: Sequence[Sequence[Episode]],
@@ -233,92 +204,49 @@ def _milestones(
     return milestone_figures(history, offline.seeds, domain)
 
 
-class RecordedLearners(Work):
+class RecordedLearners(Learning):
     """Learners of recorded transitions."""
 
     def __init__(self, job: OfflineSetup, config: Settings) -> None:
-        self._job = job
-        self._offline = job.offline
+        setup, self._offline = job.setup, job.offline
+        self._steps, self._masked, self._doubts = job.steps, job.masked, job.doubts
         self._log_every: float = config.log.every
-        self._count: int = config.eval.episodes
-        setup = job.setup
-        self._domain = described(setup.world)
-        self._snapshots = snapshots_of(self._domain)
-        self._evaluation = Evaluation(0.0, [[] for _ in setup.seeds])
-        self._took = (0.0, 0.0)
         self._cpu_s = 0.0
-        self.title = (
-            f"{setup.world.spec.name}, {len(setup.seeds)} learners, from recorded transitions"
-        )
-        self.notes = [f"{self.title}; {setup.path}", _told_use(job.offline)]
-        self.seeds, self.budget = setup.seeds, job.budget
-        self.columns, self.measures = self._snapshots.columns, []
-        self.actor, self.observer = setup.learner.policy, setup.learner.observer
-        self.world = setup.calm
-
-    @property
-    def seconds(self) -> float:
-        """See ``Work``."""
-        return self._offline.seconds
-
-    @property
-    def ticks(self) -> int:
-        """See ``Work``."""
-        return int(self._offline.learners.tick.sum())
-
-    @property
-    def parameters(self) -> Parameters:
-        """See ``Work``."""
-        return self._job.setup.learner.acting(self._offline.learners)
-
-    @property
-    def card(self) -> PolicyCard:
-        """See ``Work``."""
-        return self._job.setup.card
-
-    @property
-    def episodes(self) -> Sequence[Episode]:
-        """Those in the transitions."""
-        return self._offline.episodes
-
-    @property
-    def evaluating(self) -> tuple[float, float]:
-        """See ``Work``."""
-        return self._took
+        title = f"{setup.world.spec.name}, {len(setup.seeds)} learners, from recorded transitions"
+        super().__init__(setup, config, job.offline, described(setup.world), title)
+        self.notes = [f"{title}; {setup.path}", _told_use(job.offline)]
+        self.budget, self.measures = job.budget, []
 
     def run(self, job: Job) -> None:
         """All transitions, then the improvements; a report every ``log.every`` seconds of data."""
-        for line in self._job.masked:
+        for line in self._masked:
             logger.warning("masked: %s", line)
-        for line in self._job.doubts:
+        for line in self._doubts:
             logger.warning("%s", line)
         due = self._log_every
-        for _ in self._offline.learn(self._job.steps, _PIECE):
+        for _ in self._offline.learn(self._steps, _PIECE):
             job.pause()
             if self.seconds >= due:
                 due += self._log_every
                 job.take(self._snapshots.entry(self._offline.snapshot(), []))
         job.take(self._snapshots.entry(self._offline.snapshot(), self.episodes))
-        _warn(self._offline)
+        self._warn()
+
+    def _warn(self) -> None:
+        """Also of policies that have not arrived."""
+        super()._warn()
+        going = int(self._offline.moving.sum())
+        if going:
+            logger.warning(
+                "offline.steps: %d of %d policies were still moving after the last one",
+                going,
+                len(self.seeds),
+            )
 
     def evaluate(self, job: Job) -> None:
         """Fresh episodes of each policy."""
-        if not self._count:
-            return
-        job.console.print(f"{self._count} fresh episodes for each policy...")
-        wall, cpu = time.monotonic(), time.process_time()
-        found = evaluate(
-            self.actor,
-            self.parameters,
-            self.world(),
-            self.seeds,
-            self._count,
-            observer=self.observer,
-        )
-        self._took = time.monotonic() - wall, time.process_time() - cpu
+        super().evaluate(job)
         self._cpu_s = job.timing.cpu_s
-        minutes = math.fsum(self._offline.experience) / len(self.seeds) / 60
-        self._evaluation = Evaluation(minutes, found)
 
     def save(self, folder: Path, *, ended: bool) -> None:
         """What the learners know."""
@@ -332,7 +260,9 @@ class RecordedLearners(Work):
 
     def summary(self) -> dict[str, Any]:
         """A learner's, all experience being that of the data."""
-        offline, episodes, domain = self._offline, self._evaluation.episodes, self._domain
+        offline, domain = self._offline, self.domain
+        self._evaluations.leave_out(offline)
+        episodes = self._evaluations.done[-1].episodes
         own = by_row(offline.episodes, len(self.seeds))
         failures = [sum(e.outcome is Outcome.FAILED for e in each) for each in own]
         first = [
@@ -347,10 +277,7 @@ class RecordedLearners(Work):
             "transitions_left_out": [sum(left[k][row] for k in _OWN) for row in range(len(own))],
             "steps": offline.steps.tolist(),
         }
-        reached = {}
-        if self._job.setup.world.spec.goal and any(episodes):
-            told = self._evaluation.as_json(domain)
-            reached = {"evaluations": [told], "final": told}
+        reached = self._evaluations.as_json()
         if all(episodes):
             reached["milestones"] = _milestones(offline, episodes, own, domain, self._cpu_s)
         return {
@@ -359,8 +286,8 @@ class RecordedLearners(Work):
             "offline": {
                 **{name: Spread([*counts]).as_json() for name, counts in figures.items()},
                 "left_out": {name: Spread([*counts]).as_json() for name, counts in left.items()},
-                "masked": self._job.masked,
-                "warnings": self._job.doubts,
+                "masked": self._masked,
+                "warnings": self._doubts,
             },
             "simulated_seconds": offline.experience,
             "not_finite": not_finite(offline),
@@ -368,4 +295,4 @@ class RecordedLearners(Work):
 
     def told(self, summary: dict[str, Any]) -> list[Table | str]:
         """Figures over the seeds."""
-        return [summary_table(summary, self._domain, self.title), _told_use(self._offline)]
+        return [summary_table(summary, self.domain, self.title), _told_use(self._offline)]

@@ -34,7 +34,6 @@ from edtorch.rivals.random_search import (
     policy_weights,
     search,
 )
-from edtorch.run.checkpoint import PolicyCard
 from edtorch.run.log import Entry
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
@@ -169,6 +168,7 @@ class RandomPolicies(Work):
         self.seeds, self.actor = [setup.seed], setup.policy
         self.columns = ("wall_s", *self.COUNTS)
         self.world = lambda: setup.world
+        self.card = policy_card(setup.world.sim, setup.policy, [])
 
     @property
     def ticks(self) -> int:
@@ -181,21 +181,11 @@ class RandomPolicies(Work):
         return self._steps * self._setup.world.dt
 
     @property
-    def _numbers(self) -> Tensor:
-        result = self._result
-        return torch.arange(0) if result is None else result.policy[result.goal]
-
-    @property
-    def card(self) -> PolicyCard:
-        """See ``Work``."""
-        setup = self._setup
-        return policy_card(setup.world.sim, setup.policy, self._numbers.tolist())
-
-    @property
     def parameters(self) -> Parameters:
         """See ``Work``."""
         setup = self._setup
-        weights = policy_weights(setup.settings, setup.policy, setup.seed, self._numbers)
+        numbers = torch.tensor(self.card.seeds, dtype=torch.int64)
+        weights = policy_weights(setup.settings, setup.policy, setup.seed, numbers)
         return {"weight": weights.to(setup.world.dtype)}
 
     def run(self, job: Job) -> None:
@@ -207,7 +197,7 @@ class RandomPolicies(Work):
             job.take(self._entry(progress, time.monotonic() - began))
             job.pause()
 
-        self._result = search(
+        self._result = found = search(
             setup.settings,
             setup.world,
             setup.policy,
@@ -216,6 +206,8 @@ class RandomPolicies(Work):
             mode=setup.mode,
             report=report,
         )
+        numbers = found.policy[found.goal].tolist()
+        self.card = policy_card(setup.world.sim, setup.policy, numbers)
 
     def _entry(self, progress: Progress, wall: float) -> Entry:
         counts = {name: getattr(progress, name) for name in self.COUNTS}

@@ -197,7 +197,7 @@ class Rivals(Work):
         self.seeds, self.budget, self.world = setup.seeds, setup.budget, setup.calm
         paid = ("simulated_seconds", "episodes", words.failures, words.successes, "cpu_s")
         self.columns = ("seed", *paid, f"{words.failure}_rate", "goal_rate")
-        self.actor = self._search.actor
+        self.actor, self.card = self._search.actor, rival_card(setup, self._search, spec)
 
     @property
     def _lived(self) -> list[float]:
@@ -224,16 +224,6 @@ class Rivals(Work):
         search = self._search
         return search.stored() if isinstance(search, Storing) else search.parameters
 
-    @property
-    def card(self) -> PolicyCard:
-        """See ``Work``."""
-        return rival_card(self._setup, self._search, self._setup.problem.world.spec)
-
-    @property
-    def evaluating(self) -> tuple[float, float]:
-        """See ``Work``."""
-        return self._trials.wall_s, self._trials.cpu_s
-
     def run(self, job: Job) -> None:
         """Piece by piece to the end of every budget, each followed by a trial of the policies."""
         search, trials, setup = self._search, self._trials, self._setup
@@ -254,7 +244,7 @@ class Rivals(Work):
             for row in rows:
                 self._cpu_s[row] += took
             count += 1
-            with torch.inference_mode():
+            with job.evaluation(), torch.inference_mode():
                 fresh = trials.run(rows, self._paid)
             job.take(self._entry(fresh, count))
             job.pause()

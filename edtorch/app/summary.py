@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from rich.table import Table
-from torch import Tensor
 
-from edtorch.app.evaluations import Evaluations
+from edtorch.app.evaluations import Evaluations, Learned
 from edtorch.app.settings import Settings
 from edtorch.learner.learner import Check
 from edtorch.report.domain import Domain
@@ -30,7 +29,6 @@ from edtorch.run.log import Snapshots
 from edtorch.run.milestones import FirstSuccess, first_success
 from edtorch.run.success import settled
 from edtorch.run.training import Training
-from edtorch.types import LearnerState
 
 _PARTS = ("wall", "cpu", "startup", "eval", "figures")
 
@@ -59,22 +57,6 @@ class Timing:
         """For ``summary.json``."""
         seconds = {f"{name}_s": getattr(self, f"{name}_s") for name in _PARTS}
         return {"ticks": self.ticks, "ticks_per_cpu_s": self.ticks_per_cpu_s, **seconds}
-
-
-class Learned(Protocol):
-    """Learners that have learned, however they came by their experience."""
-
-    seeds: list[int]
-
-    @property
-    def learners(self) -> LearnerState:
-        """What they know."""
-        ...
-
-    @property
-    def finite(self) -> Tensor:
-        """``[3, B]``: see ``edtorch.learner.learner.Check``."""
-        ...
 
 
 def broken(training: Learned) -> dict[int, tuple[str, int]]:

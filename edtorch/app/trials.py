@@ -5,7 +5,6 @@ What both a learner's run and a rival's need to report what was paid before a mi
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -41,8 +40,7 @@ class Trials:
     """Evaluation episodes of the current policies, and the results of earlier ones.
 
     episodes: of each trial; history: the checkpoints of each row, in order; last: the episodes of
-    its last one, only ``SCREENING`` of them where one failed; wall_s, cpu_s: taken by all of
-    it.
+    its last one, only ``SCREENING`` of them where one failed.
     """
 
     def __init__(
@@ -53,11 +51,6 @@ class Trials:
         self._fresh = fresh
         self.history: list[list[Checkpoint]] = [[] for _ in range(rows)]
         self.last: list[list[Episode]] = [[] for _ in range(rows)]
-        self.wall_s = self.cpu_s = 0.0
-
-    def _took(self, wall: float, cpu: float) -> None:
-        self.wall_s += time.monotonic() - wall
-        self.cpu_s += time.process_time() - cpu
 
     def _episodes(self, rows: Sequence[int], count: int) -> None:
         if rows:
@@ -66,7 +59,6 @@ class Trials:
 
     def run(self, rows: Sequence[int], paid: Callable[[int], Paid]) -> dict[int, Checkpoint]:
         """Try those of ``rows``; paid: by each until now."""
-        wall, cpu = time.monotonic(), time.process_time()
         # One that was stable the last time most likely still is, and one full-length episode takes
         # as long as many side by side.
         stable = {row for row in rows if self.history[row] and self.history[row][-1].stable}
@@ -74,9 +66,7 @@ class Trials:
         if self._most > SCREENING:
             stable |= {row for row in rows if row not in stable and _stable(self.last[row])}
         self._episodes([row for row in rows if row in stable], self._most)
-        fresh = {row: self.record(row, self.last[row], paid(row)) for row in rows}
-        self._took(wall, cpu)
-        return fresh
+        return {row: self.record(row, self.last[row], paid(row)) for row in rows}
 
     def record(self, row: int, episodes: list[Episode], paid: Paid) -> Checkpoint:
         """A checkpoint of fresh episodes that somebody else has run."""
@@ -94,10 +84,8 @@ class Trials:
 
     def complete(self) -> list[list[Episode]]:
         """All episodes of the last policies, those that were only screened included."""
-        wall, cpu = time.monotonic(), time.process_time()
         short = [row for row, own in enumerate(self.last) if len(own) < self._most]
         self._episodes(short, self._most)
-        self._took(wall, cpu)
         return self.last
 
     def reached(self, milestone: str) -> list[bool]:

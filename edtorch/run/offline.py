@@ -299,9 +299,13 @@ class Offline:
         long as none had."""
         return self._tally.first_floored
 
-    @cached_property
+    @property
     def episodes(self) -> list[Episode]:
         """Those in the experience of each learner that came to an end of their own."""
+        return self._episodes
+
+    @cached_property
+    def _episodes(self) -> list[Episode]:
         return [e for row, own in enumerate(self._ends) for e in own.episodes(self._data, row)]
 
     def advance(self, ticks: int) -> int:
@@ -311,6 +315,11 @@ class Offline:
             for _ in range(ahead):
                 self._tick()
         return ahead
+
+    def counts(self, row: int) -> tuple[int, int]:
+        """Episodes and failures in the transitions of a learner."""
+        episodes, failures, _ = self._counts
+        return episodes[row], failures[row]
 
     def learn(self, steps: int, every: int) -> Iterator[None]:
         """All transitions, then up to ``steps`` improvements; yields after each ``every`` of

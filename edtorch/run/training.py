@@ -202,6 +202,10 @@ class Training:
         long as none had."""
         return self.stage.population.tally.first_floored
 
+    def counts(self, row: int) -> tuple[int, int]:
+        """Episodes and failures of a learner so far."""
+        return int(self.worlds.episodes[row]), int(self.worlds.failures[row])
+
     def restore(
         self, learners: LearnerState, worlds: Experience, clock: int, finite: Tensor
     ) -> None:

@@ -28,7 +28,7 @@ _SAME = 1e-6
 
 
 @dataclass(frozen=True)
-class Layout:
+class FileLayout:
     """How to read the columns of a file in the order of the domain.
 
     state, action: the column of each component; state_scale, action_scale: what each is to be
@@ -49,7 +49,7 @@ class Layout:
         return found
 
 
-def read_meta(path: Path, text: np.ndarray, spec: Spec) -> Layout:
+def read_meta(path: Path, text: np.ndarray, spec: Spec) -> FileLayout:
     """The layout that ``meta`` describes.  FileProblem names the file and the key otherwise."""
     meta = _Meta(path, text)
     meta.equals("format", FORMAT, str(FORMAT))
@@ -67,7 +67,7 @@ def read_meta(path: Path, text: np.ndarray, spec: Spec) -> Layout:
         else np.ones(len(quantities))
         for kind, quantities in (("state", spec.state), ("action", spec.action))
     }
-    return Layout(
+    return FileLayout(
         columns["state"], columns["action"], scales["state"], scales["action"], meta.seeds()
     )
 
