@@ -25,8 +25,8 @@ from edtorch.report.statistics import (
 )
 from edtorch.report.text import number
 from edtorch.run.episodes import Episode
-from edtorch.run.log import Snapshots
 from edtorch.run.milestones import FirstSuccess, first_success
+from edtorch.run.snapshot_log import Snapshots
 from edtorch.run.success import settled
 from edtorch.run.training import Training
 

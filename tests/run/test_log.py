@@ -18,11 +18,11 @@ from edtorch.run.episodes import Episode, Snapshot
 from edtorch.run.log import (
     ConsoleSink,
     CsvSink,
-    Snapshots,
     StderrHandler,
     TensorBoardSink,
     median_known,
 )
+from edtorch.run.snapshot_log import Snapshots
 from sims.base import Outcome, Words
 
 NAN = math.nan
