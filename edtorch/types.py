@@ -34,7 +34,8 @@ class Transition:
     """What happened in one tick of the simulator (Fig. 1: s_{t-1}, a_{t-1} -> s_t).
 
     state ``[*batch, n]``, action ``[*batch, m]`` (as applied), next_state ``[*batch, n]``,
-    dt ``[]`` in seconds, valid ``[*batch]`` (bool: false where nothing is to be learned from it).
+    dt ``[]`` in seconds, or ``[B]`` for parts that say so (``dt_per_learner``), valid ``[*batch]``
+    (bool: false where nothing is to be learned from it).
     """
 
     state: Tensor
@@ -112,6 +113,11 @@ class Metrics:
     first_floored: Tensor | None
 
 
+def each_learner(number: Tensor, ndim: int) -> Tensor:
+    """``number`` ``[B]`` with axes appended until it has ``ndim``; as it is if it is ``[]``."""
+    return number if number.ndim == 0 else number.view(number.shape + (1,) * (ndim - number.ndim))
+
+
 def select(mask: Tensor, yes: Tensor, no: Tensor) -> Tensor:
     """Rows of ``yes`` where ``mask`` ``[B]``, else of ``no``; both ``[B, ...]``."""
     return torch.where(mask.view(mask.shape + (1,) * (no.ndim - mask.ndim)), yes, no)
@@ -124,6 +130,7 @@ __all__ = [
     "Parameters",
     "Trajectory",
     "Transition",
+    "each_learner",
     "replace",
     "select",
     "tree_dataclass",

@@ -176,6 +176,14 @@ class Learner:
         """Whether torch's differentiation must be at work."""
         return self.value.needs_autograd or self.estimator.needs_autograd
 
+    @property
+    def dt_per_learner(self) -> bool:
+        """Whether ``step`` takes transitions whose dt is ``[B]``: whether all parts do that use
+        it."""
+        parts = [self.model, self.fit, self.step_rule]
+        parts += [] if self.noise is None else [self.noise]
+        return all(getattr(part, "dt_per_learner", False) for part in parts)
+
     def _limit(
         self, model: Parameters, policy: Parameters, noise: Parameters, ticks: Tensor
     ) -> Parameters:

@@ -3,19 +3,20 @@
 Each rule is a frozen dataclass with ``initial`` (its memory, per learner) and ``update``, a pure
 function of the weights ``[*batch, n, k]``, that memory, the regressor phi ``[*batch, k]`` and the
 target y ``[*batch, n]``.  ``unit`` is what a rate is multiplied with: the tick in seconds for
-models of the derivative, 1 for models of the next state.
+models of the derivative, 1 for models of the next state.  It is ``[]``, or ``[B]`` for rules of
+which ``dt_per_learner`` says that they take one for each learner.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
 
 from edtorch.linalg import matvec, symmetric_eigen
-from edtorch.types import Parameters
+from edtorch.types import Parameters, each_learner
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class AbsoluteError:
     """
 
     rate: float
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)
@@ -71,7 +73,7 @@ class AbsoluteError:
     ) -> Fitted:
         """One subgradient step."""
         residual = y - matvec(weight, phi)
-        step = _outer(residual.sign(), self.rate * unit * phi)
+        step = _outer(residual.sign(), self.rate * each_learner(unit, phi.ndim) * phi)
         return Fitted(weight + step, memory, residual)
 
 
@@ -80,6 +82,7 @@ class SquaredError:
     """Gradient of 1/2 (y - W phi)^2: W += rate unit (y - W phi) phi'.  Converges to the mean."""
 
     rate: float
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)
@@ -93,7 +96,11 @@ class SquaredError:
     ) -> Fitted:
         """One gradient step."""
         residual = y - matvec(weight, phi)
-        return Fitted(weight + _outer(residual, self.rate * unit * phi), memory, residual)
+        return Fitted(
+            weight + _outer(residual, self.rate * each_learner(unit, phi.ndim) * phi),
+            memory,
+            residual,
+        )
 
 
 @dataclass(frozen=True)
@@ -105,6 +112,7 @@ class NormalisedSquaredError:
 
     rate: float
     floor: float = 1e-3
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)
@@ -121,7 +129,11 @@ class NormalisedSquaredError:
         """One normalised gradient step."""
         residual = y - matvec(weight, phi)
         size = self.floor + phi.square().sum(-1, keepdim=True)
-        return Fitted(weight + _outer(residual, self.rate * unit * phi / size), memory, residual)
+        return Fitted(
+            weight + _outer(residual, self.rate * each_learner(unit, phi.ndim) * phi / size),
+            memory,
+            residual,
+        )
 
 
 @dataclass(frozen=True)
@@ -136,6 +148,7 @@ class RecursiveLeastSquares:
 
     prior: float = 1000.0
     forgetting: float = 1.0
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not self.prior > 0:
@@ -176,6 +189,7 @@ class BayesianLeastSquares:
     """
 
     priors: int = 28
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.priors < 1:

@@ -9,13 +9,14 @@ watched (Basseville & Nikiforov, "Detection of Abrupt Changes", 1993), and forge
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from edtorch.linalg import matvec
 from edtorch.model.fit import Fitted, RecursiveLeastSquares
-from edtorch.types import Parameters
+from edtorch.types import Parameters, each_learner
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class AdaptiveLeastSquares:
     slow: float = 0.2
     threshold: float = 3.0
     doubt: float = 1.0
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         RecursiveLeastSquares(self.prior)
@@ -70,7 +72,9 @@ class AdaptiveLeastSquares:
         explained = 1 + (phi * matvec(P, phi)).sum(-1, keepdim=True)
         squared = innovation.square() / explained
         heard = memory["heard"] + unit
-        short = torch.lerp(memory["short"], squared, (self.fast * unit).clamp(max=1.0))
+        short = torch.lerp(
+            memory["short"], squared, each_learner((self.fast * unit).clamp(max=1.0), squared.ndim)
+        )
         # A plain mean until it is as long as its memory.
         share = torch.maximum(unit / heard, self.slow * unit).clamp(max=1.0).unsqueeze(-1)
         long = torch.lerp(memory["long"], squared, share)

@@ -29,6 +29,11 @@ class DecayingFit:
         if not self.decay > 0:
             raise ValueError(f"decay={self.decay}: expected a number > 0")
 
+    @property
+    def dt_per_learner(self) -> bool:
+        """As the rule."""
+        return getattr(self.rule, "dt_per_learner", False)
+
     def initial(self, weight: Tensor) -> Parameters:
         """The rule's memory, and the units ``learned`` for, ``[*batch]``."""
         return self.rule.initial(weight) | {"learned": weight.new_zeros(weight.shape[:-2])}

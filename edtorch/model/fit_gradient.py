@@ -11,7 +11,7 @@ over them, y being what the model's form makes of a transition.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
@@ -64,6 +64,7 @@ class GradientFit:
     recent: int = 200
     steps: int = 1
     fits_parameters = True
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not self.rate > 0:

@@ -57,6 +57,8 @@ class LocalLeastSquares:
     reads_state: ClassVar[bool] = True
     """The features must begin with 1 and the state."""
 
+    dt_per_learner: ClassVar[bool] = True
+
     def __post_init__(self) -> None:
         if not self.bandwidths or not all(h > 0 for h in self.bandwidths):
             raise ValueError(

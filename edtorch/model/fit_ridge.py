@@ -8,6 +8,7 @@ block of samples enters them by one product of matrices.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -30,6 +31,7 @@ class Ridge:
     every: int = 25
     later: int = 100
     settled: int = 3000
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not self.penalty > 0:

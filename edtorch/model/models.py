@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from edtorch.initial import population
 from edtorch.linalg import matvec
 from edtorch.model.features import FeatureMap, linear_part
-from edtorch.types import Parameters, Transition
+from edtorch.types import Parameters, Transition, each_learner
 
 
 class Model(Protocol):
@@ -26,7 +26,8 @@ class Model(Protocol):
     Optional members: ``linear_dynamics(parameters, dt) -> LinearDynamics | None`` where mu~ is
     linear or affine in state and action, which closed forms need (asked for by ``dynamics_of``);
     ``linear_in_parameters = True`` with the members of ``LinearModel`` for a model that rules for
-    weights fit (``edtorch.model.fit``) and observers use.
+    weights fit (``edtorch.model.fit``) and observers use; ``dt_per_learner = True`` where
+    ``target`` and ``residual_noise`` take transitions whose dt is ``[B]``.
     """
 
     @property
@@ -148,6 +149,7 @@ class Derivative(Dynamics):
     """ds/dt = y~ (section 4); rates and noise are per second."""
 
     integrates = True
+    dt_per_learner = True
 
     def time_unit(self, dt: Tensor) -> Tensor:
         """What a rate of the configuration is multiplied with in one update: the seconds."""
@@ -155,7 +157,8 @@ class Derivative(Dynamics):
 
     def target(self, transition: Transition) -> Tensor:
         """(s' - s) / dt, ``[*batch, n]`` per second."""
-        return self.displacement(transition) / transition.dt
+        displacement = self.displacement(transition)
+        return displacement / each_learner(transition.dt, displacement.ndim)
 
     def advance(self, state: Tensor, output: Tensor, dt: float) -> Tensor:
         """One Euler step of ``dt`` seconds, s + dt y~, ``[*batch, n]``."""
@@ -171,13 +174,15 @@ class Derivative(Dynamics):
 
     def residual_noise(self, residual: Tensor, dt: Tensor) -> Tensor:
         """Step 2 of Fig. 1: e e' dt, squared error per second, ``[*batch, n, n]``."""
-        return residual.unsqueeze(-1) * residual.unsqueeze(-2) * dt
+        squared = residual.unsqueeze(-1) * residual.unsqueeze(-2)
+        return squared * each_learner(dt, squared.ndim)
 
 
 class NextState(Dynamics):
     """s' = y~ (Fig. 1); rates and noise are per step, and the unroll steps by the tick."""
 
     integrates = False
+    dt_per_learner = True
 
     def time_unit(self, dt: Tensor) -> Tensor:
         """What a rate of the configuration is multiplied with in one update: 1."""

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from edtorch.linalg import matvec, symmetric_eigen
-from edtorch.types import Parameters
+from edtorch.types import Parameters, each_learner
 
 
 class Noise(Protocol):
@@ -23,9 +23,10 @@ class Noise(Protocol):
     is_constant: ClassVar[bool]
     """Whether nu~ is the same for every state and action.
 
-    Optional: ``needs``, names of what ``update`` reads in the memory of the fit; ``is_quadratic``,
-    that nu~ is nu (1 + ``stretch`` phi' P phi) with ``nu`` and ``P`` its memory, for which
-    ``edtorch.value.linear.ignorance`` has a closed form.
+    Optional: ``dt_per_learner``, that ``unit`` may be ``[B]``; ``needs``, names of what ``update``
+    reads in the memory of the fit; ``is_quadratic``, that nu~ is nu (1 + ``stretch`` phi' P phi)
+    with ``nu`` and ``P`` its memory, for which ``edtorch.value.linear.ignorance`` has a closed
+    form.
     """
 
     def initial(self, weight: Tensor) -> Parameters:
@@ -62,8 +63,12 @@ def _check_rate(rate: float) -> None:
 
 
 def _share(rate: float, unit: Tensor) -> Tensor:
-    """The share of the newest residual in a moving average, at most 1."""
+    """The share of the newest residual in a moving average, at most 1: ``[]`` or ``[B]``."""
     return (rate * unit).clamp(max=1.0)
+
+
+def _averaged(old: Tensor, new: Tensor, share: Tensor) -> Tensor:
+    return torch.lerp(old, new, each_learner(share, new.ndim))
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,7 @@ class ResidualNoise:
 
     rate: float
     is_constant: ClassVar[bool] = True
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)
@@ -88,7 +94,7 @@ class ResidualNoise:
         self, memory: Parameters, squared: Tensor, phi: Tensor, fit: Parameters, unit: Tensor
     ) -> Parameters:
         """One step of the average."""
-        return {"nu": torch.lerp(memory["nu"], squared, _share(self.rate, unit))}
+        return {"nu": _averaged(memory["nu"], squared, _share(self.rate, unit))}
 
     def covariance(self, memory: Parameters, phi: Tensor) -> Tensor:
         """nu, wherever the state is."""
@@ -107,6 +113,7 @@ class LinearNoise:
 
     rate: float
     is_constant: ClassVar[bool] = False
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)
@@ -158,6 +165,7 @@ class BayesianNoise:
     is_constant: ClassVar[bool] = False
     is_quadratic: ClassVar[bool] = True
     needs: ClassVar[tuple[str, ...]] = ("P",)
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_rate(self.rate)
@@ -174,7 +182,7 @@ class BayesianNoise:
     ) -> Parameters:
         """One step of the average; P is taken from the fit."""
         factor = 1 + self._ignorance(fit["P"], phi)
-        nu = torch.lerp(memory["nu"], squared / factor, _share(self.rate, unit))
+        nu = _averaged(memory["nu"], squared / factor, _share(self.rate, unit))
         return {"nu": nu, "P": fit["P"]}
 
     def covariance(self, memory: Parameters, phi: Tensor) -> Tensor:

@@ -1,14 +1,14 @@
 """Policy steps: theta up the gradient of the value (Fig. 1, step 7; section 4).
 
 ``unit`` turns the rate of the configuration into the rate of one update, as in
-``edtorch.model.fit``. Gradients and parameters have the population as their leading axis; norms
-are per learner, over all policy parameters together.
+``edtorch.model.fit``, ``dt_per_learner`` included.  Gradients and parameters have the population as
+their leading axis; norms are per learner, over all policy parameters together.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
@@ -49,6 +49,7 @@ class SaturatedStep:
 
     alpha: float
     beta: float
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not self.alpha >= 0:
@@ -80,6 +81,7 @@ class DecayingStep:
     alpha: float
     beta: float
     decay: float
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         SaturatedStep(self.alpha, self.beta)
@@ -105,6 +107,7 @@ class PlainStep:
     """theta += alpha unit g (Fig. 1, step 7)."""
 
     alpha: float
+    dt_per_learner: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not self.alpha >= 0:
@@ -126,6 +129,8 @@ class PlainStep:
 class FullStep:
     """theta += g, for directions that lead to the very place:
     ``edtorch.value.linear.regulator``."""
+
+    dt_per_learner: ClassVar[bool] = True
 
     def initial(self, policy: Parameters) -> Parameters:
         """No memory."""

@@ -359,14 +359,24 @@ class Offline:
         valid = (self._lengths > self.clock).numpy()
         self.clock += 1
         improve = self._schedule is not None and self._schedule.improves(self.clock)
-        # A learner's step knows one dt; learners of another one are left as they are by it.
-        for seconds in np.unique(dt[valid]).tolist():
-            own = torch.from_numpy(valid & (dt == seconds)).to(self.world.device)
-            length = torch.tensor(seconds, dtype=self.world.dtype, device=self.world.device)
+        for seconds, whose in self._lengths_of(dt, valid):
+            own = torch.from_numpy(whose).to(self.world.device)
+            length = torch.as_tensor(seconds, dtype=self.world.dtype, device=self.world.device)
             transition = Transition(state, action, next_state, length, own)
             self.learners, metrics = self.learner.step(self.learners, transition, improve=improve)
             self._tally = self._tally.add(metrics, own)
         self._seen += np.where(valid, dt, 0.0)
+
+    def _lengths_of(
+        self, dt: np.ndarray, valid: np.ndarray
+    ) -> list[tuple[np.ndarray | float, np.ndarray]]:
+        """How long the transitions ``[B]`` of a tick are, and of which learners, for the steps to
+        take: one with everybody's own, where the learners' parts take that, else one for each."""
+        known = np.unique(dt[valid])
+        if len(known) > 1 and self.learner.dt_per_learner:
+            return [(dt, valid)]
+        # Learners of another dt are left as they are.
+        return [(seconds, valid & (dt == seconds)) for seconds in known.tolist()]
 
     def climb(self, steps: int) -> int:
         """Up to ``steps`` improvements of the policies that have not arrived, the models being what

@@ -13,10 +13,20 @@ import torch
 from edtorch.learner.learner import Learner
 from edtorch.learner.schedule import Schedule
 from edtorch.model.features import Identity
-from edtorch.model.fit import RecursiveLeastSquares, SquaredError
+from edtorch.model.fit import (
+    AbsoluteError,
+    NormalisedSquaredError,
+    RecursiveLeastSquares,
+    SquaredError,
+)
+from edtorch.model.fit_adaptive import AdaptiveLeastSquares
+from edtorch.model.fit_decaying import DecayingFit
+from edtorch.model.fit_gradient import GradientFit
+from edtorch.model.fit_ridge import Ridge
 from edtorch.model.models import DerivativeModel
+from edtorch.model.noise import BayesianNoise, LinearNoise, ResidualNoise
 from edtorch.policy.policies import LinearPolicy
-from edtorch.policy.steps import PlainStep
+from edtorch.policy.steps import DecayingStep, FullStep, PlainStep, SaturatedStep
 from edtorch.rewards import QuadraticReward
 from edtorch.run.episodes import Budget
 from edtorch.run.offline import Lessons, Offline, Unused
@@ -39,6 +49,26 @@ WORLD = linear_world()
 NOISY = linear_world(0.1)
 _, EXACT = lived(WORLD, linear_learner(), SEEDS, 60.0)
 _, DATA = lived(NOISY, linear_learner(), SEEDS, 60.0)
+
+
+FAST = LinearSystem(F, G, dt=0.01)
+
+
+def derivative_learner(fit: Any, noise: Any, step: Any) -> Learner:
+    """Of ds/dt = W (s, a), with the gradient of a short horizon."""
+    model = DerivativeModel(2, 1, Identity(3), torch.zeros(2).double())
+    policy = LinearPolicy(2, 1, Identity(2))
+    path = choose_path(
+        "auto",
+        model,
+        policy,
+        QuadraticReward(Q, R),
+        FirstOrder(),
+        Horizon(3, 0.05, 1.0, 0.05),
+        noise=noise,
+        start_cov=torch.eye(2).double(),
+    ).path
+    return Learner(model, policy, fit, noise, path, step, exploration=0.0)
 
 
 def learned(offline: Offline, steps: int = 20) -> LearnerState:
@@ -276,26 +306,91 @@ def test_transitions_of_any_length_teach_the_same_derivative() -> None:
         seed=np.repeat([0, 1], [40, 50]),
         valid=np.ones(size, dtype=bool),
     )
-    world = World(LinearSystem(F, G, dt=0.01))
-    model = DerivativeModel(2, 1, Identity(3), torch.zeros(2).double())
-    policy = LinearPolicy(2, 1, Identity(2))
-    path = choose_path(
-        "auto",
-        model,
-        policy,
-        QuadraticReward(Q, R),
-        FirstOrder(),
-        Horizon(3, 0.05, 1.0, 0.05),
-        noise=None,
-        start_cov=torch.eye(2).double(),
-    ).path
-    learner = Learner(
-        model, policy, RecursiveLeastSquares(1e10), None, path, PlainStep(0.1), exploration=0.0
-    )
+    learner = derivative_learner(RecursiveLeastSquares(1e10), None, PlainStep(0.1))
+    world = World(FAST)
     offline = Offline(learner, world, data, [0, 1], Lessons(), ALL)
     weight = learned(offline, 0).model["weight"]
     torch.testing.assert_close(weight, f64(W.tolist()).expand(2, 2, 3), rtol=0, atol=1e-6)
     assert offline.experience == pytest.approx([dt[:40].sum(), dt[40:].sum()])
+
+
+def jittering(size: int = 24, seeds: int = 3) -> Recorded:
+    """Transitions of ds/dt = W (s, a), each learner's of other lengths."""
+    generator = np.random.default_rng(0)
+    W = np.array([[0.0, 1.0, 0.0], [-2.0, -0.5, 3.0]])
+    state, action = generator.normal(size=(size, 2)), generator.normal(size=(size, 1))
+    dt = generator.uniform(0.008, 0.012, size)
+    return Recorded(
+        state=state,
+        action=action,
+        next_state=state + dt[:, None] * np.concatenate([state, action], axis=1) @ W.T,
+        dt=dt,
+        episode=np.arange(size),
+        terminated=np.ones(size, dtype=bool),
+        truncated=np.zeros(size, dtype=bool),
+        succeeded=np.zeros(size, dtype=bool),
+        seed=np.arange(size) * seeds // size,
+        valid=np.ones(size, dtype=bool),
+    )
+
+
+PARTS: list[tuple[Any, Any, Any]] = [
+    (AbsoluteError(0.5), ResidualNoise(0.7), SaturatedStep(0.5, 0.1)),
+    (SquaredError(0.5), LinearNoise(0.7), DecayingStep(0.5, 0.1, 0.2)),
+    (NormalisedSquaredError(0.5), None, PlainStep(0.01)),
+    (DecayingFit(SquaredError(0.5), 0.2), None, FullStep()),
+    (RecursiveLeastSquares(10.0), BayesianNoise(0.7), PlainStep(0.01)),
+    (AdaptiveLeastSquares(10.0), None, PlainStep(0.01)),
+    (Ridge(0.1, every=4), None, PlainStep(0.01)),
+    (GradientFit(0.01, recent=5), None, PlainStep(0.01)),
+]
+
+
+@pytest.mark.parametrize("parts", PARTS, ids=lambda parts: type(parts[0]).__name__)
+def test_a_tick_of_several_lengths_is_a_step_of_each_learner(parts: Any) -> None:
+    """To rounding, model, noise and policy, while policies are improved too."""
+    fit, noise, step = parts
+    learner, world, data = derivative_learner(fit, noise, step), World(FAST), jittering()
+    assert learner.dt_per_learner
+    offline = Offline(learner, world, data, [0, 1, 2], Lessons(), None, schedule=Schedule())
+    steps = 0
+    while not offline.all_seen:
+        steps += offline.advance(10)
+    assert steps == 8
+    for row in range(3):
+        state = learner.initial([row])
+        for k in np.flatnonzero(data.seed == row):
+            s, a, after = (
+                torch.from_numpy(part[k : k + 1])
+                for part in (data.state, data.action, data.next_state)
+            )
+            valid = torch.ones(1, dtype=torch.bool)
+            state, _ = learner.step(state, Transition(s, a, after, f64(data.dt[k]), valid))
+        for group in ("model", "noise", "fit", "policy", "step"):
+            for name, wanted in getattr(state, group).items():
+                found = getattr(offline.learners, group)[name][row : row + 1]
+                torch.testing.assert_close(found, wanted, rtol=1e-12, atol=1e-12)
+
+
+class Own:
+    """A rule of somebody's own, which does not say that it takes a dt for each learner."""
+
+    def initial(self, weight: torch.Tensor) -> dict[str, torch.Tensor]:
+        return {}
+
+    def update(self, weight: Any, memory: Any, phi: Any, y: Any, unit: Any) -> Any:
+        assert unit.ndim == 0
+        return SquaredError(0.5).update(weight, memory, phi, y, unit)
+
+
+def test_parts_that_take_one_length_get_one() -> None:
+    found = []
+    for fit in (Own(), SquaredError(0.5)):
+        learner = derivative_learner(fit, None, PlainStep(0.01))
+        assert learner.dt_per_learner == isinstance(fit, SquaredError)
+        offline = Offline(learner, World(FAST), jittering(), [0, 1, 2], Lessons(), None)
+        found.append(learned(offline, 0).model["weight"])
+    torch.testing.assert_close(*found, rtol=1e-12, atol=1e-12)
 
 
 def test_what_cannot_be_learned_from_is_refused() -> None:
