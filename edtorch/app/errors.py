@@ -161,6 +161,17 @@ def _message(error: BaseException) -> str:
     return _odd_choice(error) if isinstance(error, ValueError) else one_line(error)
 
 
+_REFUSED = re.compile(rf"^{re.escape(Refused.__module__)}\.{Refused.__name__}: (.+)$", re.M)
+
+
+def _refused_elsewhere(error: BaseException) -> str | None:
+    """The one line of a job that submitit ran in another process, whose end it reports as text."""
+    if type(error).__module__.partition(".")[0] != "submitit":
+        return None
+    lines = _REFUSED.findall(str(error))
+    return lines[-1] if lines else None
+
+
 def find_here() -> None:
     """Let a ``_target_`` name modules of the current folder.  It comes last on the path, so that
     nothing in it hides anything else."""
@@ -185,6 +196,12 @@ def guarded(command: str, run: Callable[[], None]) -> int:
         if _debugging() or (type(error) is ValueError and FootprintCallback.footprint is not None):
             raise
         print(f"{command}: {_message(error)}", file=sys.stderr)
+        return 1
+    except Exception as error:
+        line = _refused_elsewhere(error)
+        if line is None or _debugging():
+            raise
+        print(f"{command}: {line}", file=sys.stderr)
         return 1
     finally:
         if FootprintCallback.footprint is not None:

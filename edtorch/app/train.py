@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from pathlib import Path
@@ -28,7 +29,8 @@ def _task(composed: Any) -> float:
     folder = Path(hydra.runtime.output_dir)
     stop = Stop()
     try:
-        with stop.listening(), refusing():
+        # Paths are relative to where the user stands, whatever hydra.job.chdir says.
+        with contextlib.chdir(hydra.runtime.cwd), stop.listening(), refusing():
             settings = checked(plainly(composed))
             # Not before: what a job needs takes seconds to import.
             from edtorch.app.rundir import RunFolder
