@@ -19,7 +19,8 @@ A model learned from noisy data is known only to a standard error.  K is that of
 spread of the data: the closed loop of the learned model then has a spectral radius of at most
 1 / (1 + d) (prescribed degree of stability; Anderson & Moore, "Optimal control: linear quadratic
 methods", 1990, section 3.5), and that of the system itself most probably stays below 1.  Without
-noise d is zero.
+noise d is zero; so it is where no policy has that margin, since a component that no action moves
+does not settle (a target that stays where it is).
 """
 
 from __future__ import annotations
@@ -106,6 +107,14 @@ def summed(A: Tensor, cost: Tensor, doublings: int) -> Tensor:
     return cost
 
 
+def settled(A: Tensor, doublings: int) -> Tensor:
+    """Whether every entry of A^(2^doublings) lies within [-1, 1], bool ``[B]``; A ``[B, n, n]``."""
+    for _ in range(doublings):
+        A = A @ A
+    # A comparison with NaN is false.
+    return (A.abs() <= 1).all(-1).all(-1)
+
+
 @dataclass(frozen=True)
 class EquilibriumRegulator:
     """A ``ValuePath`` whose direction leads to the regulator about the model's equilibrium.
@@ -173,8 +182,11 @@ class EquilibriumRegulator:
         Q = torch.diag_embed(centre.new_tensor(factors) / excursion.square())
         R = torch.diag(settings.price * self.prices / self.half.square())
         F, G = dynamics.state, dynamics.action
+        K = doubled_lqr(F, G, Q, R, doublings=settings.doublings)
         margin = 1 + self._margin(model)[..., None, None]
-        K = doubled_lqr(margin * F, margin * G, Q, R, doublings=settings.doublings)
+        careful = doubled_lqr(margin * F, margin * G, Q, R, doublings=settings.doublings)
+        stable = settled(margin * (F + G @ careful), settings.doublings)
+        K = torch.where(stable[..., None, None], careful, K)
         constant = action - matvec(K, where)
         new = LinearGain(K, constant)
         # What the model does not keep still at the equilibrium, per tick.

@@ -99,6 +99,16 @@ def test_the_closed_loop_has_the_margin_of_the_models_standard_error(error: floa
     assert same == (error == 0.0)
 
 
+def test_what_no_action_moves_asks_for_no_margin() -> None:
+    """A constant beside a controlled component: the gain is that without a margin."""
+    weight = torch.tensor([[0.0, 0.3, 0.2, 1.0], [0.0, 0.0, 0.0, 0.0]]).double()
+    model = _model(weight) | {"error": torch.full_like(CENTRE, 1.0)}
+    careful = _regulator()(model, _policy(0.0, 0.0, 0.0), {}, CENTRE)
+    plain = _regulator(margin=0.0)(model, _policy(0.0, 0.0, 0.0), {}, CENTRE)
+    assert plain.gradient["weight"].abs().max() > 0.1
+    torch.testing.assert_close(careful.gradient, plain.gradient, rtol=1e-12, atol=0.0)
+
+
 def test_the_rest_changes_least_where_many_equilibria_exist() -> None:
     """s1 + s2 + a = 1 leaves a plane of equilibria: the nearest one to (centre, middle) is
     taken."""
