@@ -13,6 +13,7 @@ from edtorch.learner.learner import Learner
 from edtorch.learner.schedule import Schedule
 from edtorch.model.features import Identity
 from edtorch.model.fit import Fit, RecursiveLeastSquares
+from edtorch.model.models import DerivativeModel
 from edtorch.policy.policies import LinearPolicy
 from edtorch.policy.steps import FullStep
 from edtorch.rewards import QuadraticReward
@@ -21,6 +22,8 @@ from edtorch.run.recorder import Recorder
 from edtorch.run.scaled_sim import World
 from edtorch.run.training import Training
 from edtorch.run.transitions_file import Recorded, gathered
+from edtorch.transform import FirstOrder
+from edtorch.value.choose import choose_path
 from edtorch.value.linear.regulator import Regulator
 from edtorch.value.unroll import Horizon
 from sims.linear import LinearSystem
@@ -45,6 +48,23 @@ def linear_learner(fit: Fit | None = None, steps: int = 80) -> Learner:
     )
     fit = fit or RecursiveLeastSquares(prior=1e10)
     return Learner(model, policy, fit, None, path, FullStep(), exploration=1.0)
+
+
+def derivative_learner(fit: Any, noise: Any, step: Any) -> Learner:
+    """Of ds/dt = W (s, a), with the gradient of a short horizon."""
+    model = DerivativeModel(2, 1, Identity(3), torch.zeros(2).double())
+    policy = LinearPolicy(2, 1, Identity(2))
+    path = choose_path(
+        "auto",
+        model,
+        policy,
+        QuadraticReward(Q, R),
+        FirstOrder(),
+        Horizon(3, 0.05, 1.0, 0.05),
+        noise=noise,
+        start_cov=torch.eye(2).double(),
+    ).path
+    return Learner(model, policy, fit, noise, path, step, exploration=0.0)
 
 
 def lived(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edtorch.run.plausible import beyond_limits
-from edtorch.run.recorded import Recorded, first_rows, shorter_way
+from edtorch.run.recorded import Recorded, first_rows, last_rows, shorter_way
 from sims.base import Spec
 
 _SPIKE = 10.0
@@ -66,7 +66,8 @@ def _constant(recorded: Recorded, spec: Spec) -> Iterator[str]:
 
 
 def _columns(recorded: Recorded, spec: Spec) -> Iterator[_Column]:
-    for kind, quantities in (("state", spec.state), ("action", spec.action)):
+    kinds = (("state", spec.state), ("action", spec.action), ("next_state", spec.state))
+    for kind, quantities in kinds:
         for column, q in enumerate(quantities):
             yield _Column(f"{kind} {q.name}", getattr(recorded, kind)[:, column], q.period)
 
@@ -77,7 +78,10 @@ def _spikes(recorded: Recorded, spec: Spec) -> Iterator[str]:
     inner = follows & np.append(follows[1:], False)
     for label, values, period in _columns(recorded, spec):
         found = _alone(values, recorded.valid) if period == 0 else np.zeros(len(values), bool)
-        if label.startswith("state"):
+        if label.startswith("next_state"):
+            # Elsewhere it is the next row's state.
+            found &= last_rows(recorded.episode)
+        elif label.startswith("state"):
             found |= _there_and_back(values, period, inner)
         if found.any():
             row = int(np.flatnonzero(found)[0])

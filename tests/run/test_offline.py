@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from edtorch.learner.learner import Learner
 from edtorch.learner.schedule import Schedule
-from edtorch.model.features import Identity
 from edtorch.model.fit import (
     AbsoluteError,
     NormalisedSquaredError,
@@ -23,9 +21,7 @@ from edtorch.model.fit_adaptive import AdaptiveLeastSquares
 from edtorch.model.fit_decaying import DecayingFit
 from edtorch.model.fit_gradient import GradientFit
 from edtorch.model.fit_ridge import Ridge
-from edtorch.model.models import DerivativeModel
 from edtorch.model.noise import BayesianNoise, LinearNoise, ResidualNoise
-from edtorch.policy.policies import LinearPolicy
 from edtorch.policy.steps import DecayingStep, FullStep, PlainStep, SaturatedStep
 from edtorch.rewards import QuadraticReward
 from edtorch.run.episodes import Budget
@@ -40,7 +36,7 @@ from edtorch.value.unroll import FromOrigin, Horizon
 from sims.base import Outcome
 from sims.bicycle import Bicycle
 from sims.linear import LinearSystem
-from tests.recorded import F, G, Q, R, linear_learner, linear_world, lived
+from tests.recorded import F, G, Q, R, derivative_learner, linear_learner, linear_world, lived
 from tests.systems import bicycle_learner, f64
 
 ALL = Budget(seconds=1e9)
@@ -52,23 +48,6 @@ _, DATA = lived(NOISY, linear_learner(), SEEDS, 60.0)
 
 
 FAST = LinearSystem(F, G, dt=0.01)
-
-
-def derivative_learner(fit: Any, noise: Any, step: Any) -> Learner:
-    """Of ds/dt = W (s, a), with the gradient of a short horizon."""
-    model = DerivativeModel(2, 1, Identity(3), torch.zeros(2).double())
-    policy = LinearPolicy(2, 1, Identity(2))
-    path = choose_path(
-        "auto",
-        model,
-        policy,
-        QuadraticReward(Q, R),
-        FirstOrder(),
-        Horizon(3, 0.05, 1.0, 0.05),
-        noise=noise,
-        start_cov=torch.eye(2).double(),
-    ).path
-    return Learner(model, policy, fit, noise, path, step, exploration=0.0)
 
 
 def learned(offline: Offline, steps: int = 20) -> LearnerState:
