@@ -62,7 +62,7 @@ def foreign_ends(recorded: Recorded, spec: Spec, rounding: float, sound: np.ndar
     That is so in a continuous log that was cut into windows as well, where it follows from the
     state before.  So a linear model of the change is fitted to the other rows, and only the ends
     that are far off it are returned: farther than any other row by a factor, or too many of them
-    to be a coincidence.  rounding: relative, of the file's numbers.
+    to be a coincidence; all of them if most are.  rounding: relative, of the file's numbers.
     """
     here = _at_another_start(recorded, spec, rounding) & sound
     others = sound & ~here
@@ -75,11 +75,19 @@ def foreign_ends(recorded: Recorded, spec: Spec, rounding: float, sound: np.ndar
     least = rounding * (scale + np.abs(recorded.state[others]).max(0))
     usual = np.maximum(np.quantile(residual[others], 0.99, axis=0), least)
     size = (residual / usual).max(-1)
+    if _mostly(size > 1, here, others, 0.5):
+        return here
     far = size > _FAR
-    largest = max(1.0, float(size[others].max()))
-    rate = (1 + far[others].sum()) / others.sum()
-    many = _tail(int(far[here].sum()), int(here.sum()), float(rate)) < _CHANCE
-    return here & (far if many else size > _FAR * largest)
+    many = _mostly(far, here, others, 0.0)
+    return here & (far if many else size > _FAR * max(1.0, float(size[others].max())))
+
+
+def _mostly(large: np.ndarray, here: np.ndarray, others: np.ndarray, share: float) -> bool:
+    """Whether at least this share of the rows ``here`` are ``large``, and so many more than of the
+    others that it is no coincidence."""
+    found, size = int(large[here].sum()), int(here.sum())
+    rate = float((1 + large[others].sum()) / others.sum())
+    return found >= share * size and _tail(found, size, rate) < _CHANCE
 
 
 def _at_another_start(recorded: Recorded, spec: Spec, rounding: float) -> np.ndarray:

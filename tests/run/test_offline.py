@@ -69,6 +69,7 @@ def test_a_system_without_noise_is_found_and_so_is_its_regulator() -> None:
     assert offline.experience == [60.0] * 3 and bool(offline.finite.all())
 
 
+@pytest.mark.oracle
 def test_the_gradient_climbs_to_the_top() -> None:
     """Where a policy has arrived, its gradient is zero, and no other policy near by is better."""
     learner = linear_learner()
@@ -84,7 +85,7 @@ def test_the_gradient_climbs_to_the_top() -> None:
         noise=None,
         start_cov=noise_free,
     ).path
-    learner = with_fields(learner, value=FromOrigin(path), step_rule=PlainStep(0.02))
+    learner = with_fields(learner, value=FromOrigin(path), step_rule=PlainStep(0.3))
     offline = Offline(learner, WORLD, EXACT, SEEDS, Lessons(), ALL, tolerance=1e-8)
     state = learned(offline, 4000)
     assert not bool(offline.moving.any())

@@ -65,6 +65,16 @@ def test_a_last_state_of_the_next_episode_is_found(tmp_path: Path, noise: float)
     assert "(9 more rows are wrong" in line
 
 
+def test_it_is_found_under_noise_in_every_episode(tmp_path: Path) -> None:
+    """Half of the jumps are no larger than what the noise does."""
+    generator = np.random.default_rng(3)
+    arrays = linear_arrays(60, 20)
+    noisy = arrays["state"] + 0.3 * generator.normal(size=(1200, 2))
+    arrays["state"] = noisy
+    _, masked = _refused(tmp_path / "noisy.npz", _shifted(arrays))
+    assert masked == list(range(19, 1200, 20))
+
+
 def test_it_is_found_in_a_part_of_the_file_and_on_a_nonlinear_system(
     tmp_path: Path, falls: tuple[Spec, Recorded]
 ) -> None:
