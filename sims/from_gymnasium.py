@@ -22,6 +22,7 @@ from sims.gymnasium_source import (
     action_box,
     belongs_to,
     bounds,
+    finite_but_none,
     observation_box,
     source_of,
     stated_dt,
@@ -69,7 +70,8 @@ class GymnasiumSim:
     steps, or 1000 where it states none; ``notes`` says so); ``state_names``, ``action_names``;
     ``angles``: see ``sims.angle_view``; ``rates``: components by the names of their rates;
     ``state_scale``, ``action_scale``: a divisor for each component, in order or by name (default:
-    the greatest size within the bounds where they are finite, else 1; an action without bounds
+    the greatest size within the bounds where they are finite, else 1; a bound of at least 1e30, or
+    the largest number of its type, counts as infinite, as ``notes`` says; an action without bounds
     needs one); ``headline``: the component that figures show (default: the first); ``clip_action``:
     whether actions are held within the box; ``termination``: what the environment's termination
     means, "failure" (then lasting to the time limit is a success) or "success" (then it is none);
@@ -123,12 +125,20 @@ class GymnasiumSim:
             )
             threshold = None
         state = _named("state", observation, state_names)
+        none = [q.name for q, none in zip(state, finite_but_none(observation), strict=True) if none]
         self._hint = None if angles else AngleHint([q.name for q in state])
         self._view: AngleView | None = None
         if angles:
             self._view, state = angle_view(state, angles)
         state = _scaled("state", with_rates(state, rates or {}), state_scale)
-        action = _scaled("action", _named("action", self._box, action_names), action_scale)
+        action = _named("action", self._box, action_names)
+        none += [q.name for q, none in zip(action, finite_but_none(self._box), strict=True) if none]
+        if none:
+            self.notes.append(
+                f"{name}: the bounds of {', '.join(none)} count as none: they are at least 1e30, or"
+                " the largest number of their type"
+            )
+        action = _scaled("action", action, action_scale)
         for name in {q.name for q in action} & {q.name for q in state}:
             raise ValueError(f"action_names: {name!r} is a component of the state, too")
         self._spec = Spec(
@@ -357,7 +367,7 @@ def _named(which: str, box: spaces.Box, names: Sequence[str] | None) -> tuple[Qu
         )
     return tuple(
         Quantity(name, "1", low=low, high=high)
-        for name, (low, high) in zip(names, bounds(box), strict=True)
+        for name, (low, high) in zip(names, bounds(box).tolist(), strict=True)
     )
 
 

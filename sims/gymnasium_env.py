@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, cast
 
 import gymnasium
@@ -24,7 +25,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from torch import Tensor
 
-from sims.base import Outcome, Pictured, Sim, Spec
+from sims.base import Outcome, Pictured, Sim, Spec, spec_index
 from sims.bicycle import Bicycle
 
 Array = NDArray[np.float64]
@@ -32,7 +33,6 @@ Array = NDArray[np.float64]
 RewardFunction = Callable[[Array, Array, Array], float]
 """(observation, action as applied, next observation), physical units, to the reward of a step."""
 
-_FAR = np.finfo(np.float64).max
 _RECENT, _THINNING = 2000, 50
 """A picture gets the last so many states, and of those before them every so-manieth."""
 
@@ -41,14 +41,17 @@ class SimEnv(gymnasium.Env[Array, Array]):
     """One episode of a sim at a time, in physical units and float64.
 
     Observation and action spaces are boxes with the bounds of ``sim.spec`` (an angle's box is its
-    period around 0).  An episode terminates when its outcome is no longer RUNNING, and is truncated
-    at the sim's time limit, whether or not the sim then counts it as a success.  The info of its
-    last step has ``outcome`` (FAILED, SUCCEEDED or TIMED_OUT) and ``measures`` (dict of floats).
-    Same seed, same actions: same digits.
+    period around 0), infinite where there are none.  An episode terminates when its outcome is no
+    longer RUNNING, and is truncated at the sim's time limit, whether or not the sim then counts it
+    as a success.  The info of its last step has ``outcome`` (FAILED, SUCCEEDED or TIMED_OUT) and
+    ``measures`` (dict of floats).
+    Same seed, same actions: same digits.  It can be pickled where ``sim`` and ``reward`` can, with
+    the episode that it is in.
 
     Arguments: ``sim``; ``reward``: function of (observation, action as applied, next observation);
     ``fail_penalty``: taken off the reward of a step that ends in failure; ``render_mode``: None or
-    "rgb_array" (for a sim that draws itself).
+    "rgb_array" (for a sim that draws itself); ``bounds``: by name those of components of the
+    observation that ``sim.spec`` has none for.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012
@@ -60,6 +63,7 @@ class SimEnv(gymnasium.Env[Array, Array]):
         *,
         fail_penalty: float = 0.0,
         render_mode: str | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
         """Wrap ``sim``, whose step earns ``reward``."""
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -70,7 +74,7 @@ class SimEnv(gymnasium.Env[Array, Array]):
         self.reward = reward
         self.fail_penalty = fail_penalty
         self.render_mode = render_mode
-        self.observation_space = _observation_space(sim.spec)
+        self.observation_space = _observation_space(sim.spec, bounds or {})
         self.action_space = _action_space(sim.spec)
         self._low = torch.tensor([quantity.low for quantity in sim.spec.action]).double()
         self._high = torch.tensor([quantity.high for quantity in sim.spec.action]).double()
@@ -78,6 +82,16 @@ class SimEnv(gymnasium.Env[Array, Array]):
         self._recent: deque[Tensor] = deque()
         self._steps = 0
         self._ended = True
+
+    @property
+    def dt(self) -> float:
+        """Seconds per step."""
+        return self.sim.spec.dt
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Steps after which an episode is truncated."""
+        return round(self.sim.spec.time_limit / self.sim.spec.dt)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -93,10 +107,15 @@ class SimEnv(gymnasium.Env[Array, Array]):
         return self._observation[0].numpy().copy(), {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """One step of ``sim.spec.dt`` seconds."""
+        """One step of ``sim.spec.dt`` seconds; ValueError for an action of another shape than that
+        of the space, or with numbers that are not finite."""
         if self._ended:
             raise RuntimeError("step of an episode that has ended; expected a reset first")
         sim, spec = self.sim, self.sim.spec
+        if np.shape(action) != self.action_space.shape:
+            raise ValueError(
+                f"action={action}: has shape {np.shape(action)}, expected {self.action_space.shape}"
+            )
         with torch.inference_mode():
             taken = torch.as_tensor(np.asarray(action), dtype=torch.float64).reshape(1, -1)
             if not bool(taken.isfinite().all()):
@@ -163,12 +182,11 @@ class BicycleEnv(SimEnv):
     |-----|-------------|------|-----|-----|
     | 0 | lean of the frame from the vertical | rad | -inf | inf (ends beyond +-pi/15) |
     | 1 | rate of the lean | rad/s | -inf | inf |
-    | 2 | angle of the handlebar | rad | -inf | inf (stops at +-1.3963) |
+    | 2 | angle of the handlebar | rad | -1.3963 | 1.3963 |
     | 3 | rate of the handlebar | rad/s | -inf | inf |
     | 4 | angle to the goal, positive if it is on the left | rad | -pi | pi |
 
     With ``lean_acceleration=True``, also 5: the lean acceleration in the last step, rad/s^2.
-    Infinite stands for the greatest float64.
 
     ## Action Space
 
@@ -232,21 +250,38 @@ class BicycleEnv(SimEnv):
         if not (math.isfinite(fall_penalty) and fall_penalty >= 0):
             raise ValueError(f"fall_penalty={fall_penalty!r}: expected a finite number, 0 or more")
         sim = Bicycle(**bicycle)
-        names = [quantity.name for quantity in sim.spec.state]
-        lean, angle = names.index("lean"), names.index("angle_to_goal")
+        lean, angle = spec_index(sim.spec, ("lean", "angle_to_goal"))
+        stop = float(sim.physics.theta_max)
+        super().__init__(
+            sim,
+            _RidingCost(lean, angle, sim.dt),
+            fail_penalty=fall_penalty,
+            render_mode=render_mode,
+            bounds={"handlebar": (-stop, stop)},
+        )
 
-        def reward(before: Array, action: Array, after: Array) -> float:
-            return -(after[angle] ** 2 + 10 * after[lean] ** 2) * sim.dt
 
-        super().__init__(sim, reward, fail_penalty=fall_penalty, render_mode=render_mode)
+@dataclass(frozen=True)
+class _RidingCost:
+    """The reward of a step of ``dt`` seconds; lean, angle: where they are in the observation."""
+
+    lean: int
+    angle: int
+    dt: float
+
+    def __call__(self, before: Array, action: Array, after: Array) -> float:
+        return -(after[self.angle] ** 2 + 10 * after[self.lean] ** 2) * self.dt
 
 
-def _observation_space(spec: Spec) -> gymnasium.Space[Array]:
-    low = [-q.period / 2 if q.period else q.low for q in spec.state]
-    high = [q.period / 2 if q.period else q.high for q in spec.state]
-    # Finite where the spec has no bound: Gymnasium's checkers frown on infinite boxes.
-    box = spaces.Box(np.maximum(low, -_FAR), np.minimum(high, _FAR), dtype=np.float64)
-    return cast("gymnasium.Space[Array]", box)
+def _observation_space(
+    spec: Spec, bounds: Mapping[str, tuple[float, float]]
+) -> gymnasium.Space[Array]:
+    spec_index(spec, bounds)
+    own = {
+        q.name: (-q.period / 2, q.period / 2) if q.period else (q.low, q.high) for q in spec.state
+    }
+    low, high = np.array(list((own | dict(bounds)).values()), dtype=np.float64).T
+    return cast("gymnasium.Space[Array]", spaces.Box(low, high, dtype=np.float64))
 
 
 def _action_space(spec: Spec) -> gymnasium.Space[Array]:

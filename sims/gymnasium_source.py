@@ -8,14 +8,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
+import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 Env = gymnasium.Env[Any, Any]
 Factory = Callable[[], Env]
 
 _FACTORY = "give a factory, a function without arguments that returns a new environment"
 _UNBOUNDED = 1e30
-"""A bound of this size or more counts as infinite: some environments write the largest float."""
+"""A bound of this size or more counts as infinite, and so does the largest number of the box's
+type, which some environments write for a component without bounds (not of integers below 32 bits,
+where it is a real bound: 255)."""
 
 _users: weakref.WeakKeyDictionary[Env, weakref.ref[object]] = weakref.WeakKeyDictionary()
 
@@ -43,7 +47,9 @@ def source_of(env_id: str | None, env: Env | Factory | None, kwargs: Mapping[str
     if (env_id is None) == (env is None):
         raise ValueError(f"env_id={env_id}: expected either an id or an environment (env)")
     if env_id is not None:
-        return Source(env_id, made(env_id, kwargs), lambda: made(env_id, kwargs))
+        # Without the module to import: the environment is the same wherever it is registered.
+        name = env_id.rpartition(":")[2]
+        return Source(name, made(env_id, kwargs), lambda: made(env_id, kwargs))
     if kwargs:
         raise ValueError(f"env_kwargs={dict(kwargs)}: expected none without an env_id")
     if isinstance(env, gymnasium.Env):
@@ -122,13 +128,15 @@ def stated_dt(env: Env) -> float | None:
 
 
 def stated_limit(env: Env) -> int | None:
-    """Steps after which the environment is truncated, where its spec or a wrapper states them."""
+    """Steps after which the environment is truncated, where a wrapper, its spec or its attribute
+    ``max_episode_steps`` states them."""
     layer = env
     while isinstance(layer, gymnasium.Wrapper):
         if isinstance(layer, gymnasium.wrappers.TimeLimit):
             return layer._max_episode_steps
         layer = layer.env
-    return None if layer.spec is None else layer.spec.max_episode_steps
+    registered = None if layer.spec is None else layer.spec.max_episode_steps
+    return getattr(layer, "max_episode_steps", None) if registered is None else registered
 
 
 def stated_threshold(env: Env) -> float | None:
@@ -183,11 +191,29 @@ def _short(space: gymnasium.Space[Any], most: int = 80) -> str:
     return text if len(text) <= most else f"{text[:most]}..."
 
 
-def bounds(box: spaces.Box) -> list[tuple[float, float]]:
-    """Bounds of each component, infinite where the box has none."""
-    pairs = zip(box.low.astype(float), box.high.astype(float), strict=True)
-    infinite = float("inf")
-    return [
-        (low if low > -_UNBOUNDED else -infinite, high if high < _UNBOUNDED else infinite)
-        for low, high in pairs
-    ]
+def bounds(box: spaces.Box) -> NDArray[np.float64]:
+    """Bounds (low, high) of each component, ``[n, 2]``, infinite where the box has none."""
+    given = _given_bounds(box)
+    return np.where(np.abs(given) >= _unbounded(box), np.copysign(np.inf, given), given)
+
+
+def finite_but_none(box: spaces.Box) -> list[bool]:
+    """Whether each component, ``[n]``, has a finite bound that counts as infinite."""
+    size = np.abs(_given_bounds(box))
+    counts = (size >= _unbounded(box)) & np.isfinite(size)
+    return [bool(row.any()) for row in counts]
+
+
+def _given_bounds(box: spaces.Box) -> NDArray[np.float64]:
+    return np.stack([box.low, box.high], axis=-1).astype(np.float64)
+
+
+def _unbounded(box: spaces.Box) -> float:
+    """The size from which on a bound of the box is none."""
+    largest: Any = np.inf
+    kind: Any = box.dtype.type
+    if box.dtype.kind == "f":
+        largest = np.finfo(kind).max
+    elif box.dtype.itemsize >= 4:
+        largest = np.iinfo(kind).max
+    return min(_UNBOUNDED, float(largest))

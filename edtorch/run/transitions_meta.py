@@ -53,6 +53,10 @@ def read_meta(path: Path, text: np.ndarray, spec: Spec) -> FileLayout:
     """The layout that ``meta`` describes.  FileProblem names the file and the key otherwise."""
     meta = _Meta(path, text)
     meta.equals("format", FORMAT, str(FORMAT))
+    recorded = meta.content.get("domain")
+    if isinstance(recorded, str) and recorded.endswith(f":{spec.name}"):
+        # Names once had the module to import in front: "module:Id".
+        meta.content["domain"] = spec.name
     domain = meta.equals("domain", spec.name, spec.name)
     units = meta.content.get("units")
     if units not in ("physical", "scaled"):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sims.base import spec_index
+from sims.cardea.arm import HIGH, LOW
 from sims.cardea.cardea import Cardea
 from sims.gymnasium_env import Array, SimEnv
 
@@ -21,7 +23,8 @@ class CardeaEnv(SimEnv):
 
     ## Observation Space
 
-    ``Box(19,)``, float64, without bounds (infinite stands for the greatest float64).
+    ``Box(19,)``, float64; the goal within the ranges that it is drawn from (``sims.cardea.arm``),
+    the rest without bounds: a joint that passes its stop ends the episode there.
 
     | No. | Observation | Unit |
     |-----|-------------|------|
@@ -77,8 +80,22 @@ class CardeaEnv(SimEnv):
             )
         sim = Cardea(**cardea)
         joints, goal = (spec_index(sim.spec, names) for names in (sim.spec.tracked, sim.spec.goal))
+        super().__init__(
+            sim,
+            _ReachingCost(joints, goal, sim.dt),
+            fail_penalty=crash_penalty,
+            render_mode=render_mode,
+            bounds=dict(zip(sim.spec.goal, zip(LOW, HIGH, strict=True), strict=True)),
+        )
 
-        def reward(before: Array, action: Array, after: Array) -> float:
-            return -float(np.square(after[joints] - after[goal]).sum()) * sim.dt
 
-        super().__init__(sim, reward, fail_penalty=crash_penalty, render_mode=render_mode)
+@dataclass(frozen=True)
+class _ReachingCost:
+    """The reward of a step of ``dt`` seconds; joints, goal: where they are in the observation."""
+
+    joints: list[int]
+    goal: list[int]
+    dt: float
+
+    def __call__(self, before: Array, action: Array, after: Array) -> float:
+        return -float(np.square(after[self.joints] - after[self.goal]).sum()) * self.dt

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import doctest
-import warnings
 from typing import Any, Literal
 
 import gymnasium
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from gymnasium.utils.env_checker import check_env
 
 import sims.gymnasium_env
 from sims.base import Outcome
@@ -23,15 +21,6 @@ from tests.api_envs import Cart
 
 def unclipped_reward(before: np.ndarray, action: np.ndarray, after: np.ndarray) -> float:
     return float(action[0])
-
-
-def test_passes_check_env() -> None:
-    env = gymnasium.make("edtorch/Bicycle-v0", render_mode="rgb_array")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        check_env(env.unwrapped)
-    # Physical units are meant: the advice to normalise actions does not apply.
-    assert all("normalized space" in str(warning.message) for warning in caught)
 
 
 def test_registered_by_name_and_by_module() -> None:

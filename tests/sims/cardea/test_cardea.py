@@ -5,12 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -18,7 +16,6 @@ from torch import Tensor
 
 pytest.importorskip("pybullet", reason="the extra [cardea] is not installed: no PyBullet")
 
-from gymnasium.utils.env_checker import check_env
 
 from sims.base import Actuated, Invertible, Jointed, Outcome, Pictured
 from sims.cardea import LIMITS, STOPS, Cardea, Trouble, slant, wrist
@@ -321,15 +318,6 @@ def test_baselines() -> None:
 
 
 # Gymnasium.
-
-
-def test_passes_check_env() -> None:
-    env = gymnasium.make("edtorch/Cardea-v0", render_mode="rgb_array")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        check_env(env.unwrapped)
-    # Physical units are meant: the advice to normalise actions does not apply.
-    assert all("normalized space" in str(warning.message) for warning in caught)
 
 
 def test_an_episode_in_gymnasium() -> None:
