@@ -14,8 +14,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 from torch.func import jacrev, vjp
+
+from edtorch.shapes import Rows, Squares, States
 
 StateFunction = Callable[[Tensor], Tensor]
 """A function of states that works row by row: ``[*batch, n] -> [*batch, ...]``.
@@ -25,7 +28,7 @@ broadcasts from the right, as torch's operations do.
 """
 
 
-def rowwise_jacobian(function: StateFunction, state: Tensor) -> Tensor:
+def rowwise_jacobian(function: StateFunction, state: States) -> Float[Tensor, "*batch p n"]:
     """Jacobian of a row-by-row ``function`` at each row of ``state`` by ``torch.func.jacrev``.
 
     state ``[*batch, n]``, function ``[*batch, n] -> [*batch, p]``; returns ``[*batch, p, n]``.
@@ -40,7 +43,7 @@ def rowwise_jacobian(function: StateFunction, state: Tensor) -> Tensor:
     return torch.movedim(jacobian, 0, -2)
 
 
-def loop_jacobian(closed_loop: StateFunction, state: Tensor) -> Tensor:
+def loop_jacobian(closed_loop: StateFunction, state: States) -> Squares:
     """J = d mu_pi / ds ``[*batch, n, n]`` at ``state`` ``[*batch, n]``, through model and policy.
 
     A closed loop that is an object with a method ``jacobian(state)`` is asked first; where it has
@@ -73,7 +76,7 @@ def _rows(state: Tensor, cov: Tensor) -> tuple[Tensor, Tensor]:
     return state.expand(n, *state.shape), columns
 
 
-def curvature(function: StateFunction, state: Tensor, cov: Tensor) -> Tensor:
+def curvature(function: StateFunction, state: States, cov: Float[Tensor, "*#batch n n"]) -> Tensor:
     """H : Sigma of each component of ``function`` at each row of ``state``.
 
     state ``[*batch, n]``, cov ``[*batch, n, n]``, function ``[*batch, n] -> [*batch, *shape]``;
@@ -87,7 +90,7 @@ def curvature(function: StateFunction, state: Tensor, cov: Tensor) -> Tensor:
     return directional(directional(function, columns), units)(states).sum(0)
 
 
-def scalar_curvature(function: StateFunction, state: Tensor, cov: Tensor) -> Tensor:
+def scalar_curvature(function: StateFunction, state: States, cov: Squares) -> Rows:
     """``curvature`` of a function of one value a row, ``[*batch, n] -> [*batch]``, for half of it.
 
     tr(H Sigma) from the n Hessian-vector products H Sigma e_k: H is symmetric here, so one reverse
@@ -103,7 +106,9 @@ def scalar_curvature(function: StateFunction, state: Tensor, cov: Tensor) -> Ten
     return torch.diagonal(products, dim1=0, dim2=-1).sum(-1)
 
 
-def curvature_products(function: StateFunction, state: Tensor, cov: Tensor) -> Tensor:
+def curvature_products(
+    function: StateFunction, state: States, cov: Squares
+) -> Float[Tensor, "n *batch p n"]:
     """(H_i Sigma)_ab = D^2 f_i(s)[e_a, Sigma e_b] as ``[b, *batch, i, a]``.
 
     state ``[*batch, n]``, cov ``[*batch, n, n]``, function ``[*batch, n] -> [*batch, p]``.  Their

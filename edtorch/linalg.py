@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from edtorch.shapes import Squares, States
 
-def symmetric_eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
+
+def symmetric_eigen(matrix: Squares) -> tuple[States, Squares]:
     """Eigenvalues ``[*batch, n]``, rising, and eigenvectors of symmetric ``[*batch, n, n]``.
 
     NaN for a matrix that is not finite: ``torch.linalg.eigh`` would raise, for the whole batch, and

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from edtorch.shapes import Rows
+
 
 @dataclass(frozen=True)
 class Annealed:
@@ -23,7 +25,7 @@ class Annealed:
         if not self.decay > 0:
             raise ValueError(f"decay={self.decay}: expected a number > 0")
 
-    def __call__(self, ticks: Tensor, dtype: torch.dtype) -> Tensor:
+    def __call__(self, ticks: Tensor, dtype: torch.dtype) -> Rows:
         """At the ages ``ticks`` ``[*batch]``, int64."""
         left = torch.exp(ticks.to(dtype) * (-1 / self.decay))
         return self.final + (self.start - self.final) * left

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from edtorch.shapes import Actions, States
 from edtorch.types import Parameters, select
 
 
@@ -31,7 +32,7 @@ class Delay:
         if self.ticks < 0:
             raise ValueError(f"delay={self.ticks}: expected a whole number of ticks, 0 or more")
 
-    def initial(self, action: Tensor) -> Parameters:
+    def initial(self, action: Actions) -> Parameters:
         """Nothing is under way; action ``[B, m]``, for its shape."""
         size, m = action.shape
         known = torch.zeros(size, dtype=torch.int64, device=action.device)
@@ -46,8 +47,8 @@ class Delay:
         return actions[:, 0], there, {"under_way": actions[:, 1:], "known": known}
 
     def ahead(
-        self, memory: Parameters, state: Tensor, move: Callable[[Tensor, Tensor], Tensor]
-    ) -> Tensor:
+        self, memory: Parameters, state: States, move: Callable[[Tensor, Tensor], Tensor]
+    ) -> States:
         """The state ``[B, n]`` of the last reading, carried on to now by the actions under way.
 
         move: from state ``[B, n]`` and action ``[B, m]`` to the state a tick later.

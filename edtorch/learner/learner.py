@@ -23,6 +23,7 @@ from edtorch.model.models import Model
 from edtorch.model.noise import Noise
 from edtorch.policy.policies import Policy, explore
 from edtorch.policy.steps import Step, gradient_norm
+from edtorch.shapes import Actions, States
 from edtorch.types import LearnerState, Metrics, Parameters, Transition, replace, select
 from edtorch.value.unroll import ValuePath
 
@@ -198,7 +199,7 @@ class Learner:
             return state.policy | state.limit
         return state.policy | state.limit | {"model": state.model["weight"]}
 
-    def act(self, state: LearnerState, observation: Tensor, normal: Tensor) -> Tensor:
+    def act(self, state: LearnerState, observation: States, normal: Actions) -> Actions:
         """pi(s) plus exploration, ``[B, m]`` in scaled units; normal ``[B, m]`` standard normal."""
         deviation = self.exploration
         if isinstance(deviation, Annealed):

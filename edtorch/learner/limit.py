@@ -25,6 +25,7 @@ from edtorch.learner.annealing import Annealed
 from edtorch.model.models import Model
 from edtorch.model.noise import Noise
 from edtorch.policy.policies import Policy
+from edtorch.shapes import States
 from edtorch.types import Parameters
 from edtorch.value.linear.loop import linear_loop
 
@@ -64,7 +65,7 @@ class Ramp:
 
     def __call__(
         self, model: Parameters, policy: Parameters, noise: Parameters, ticks: Tensor
-    ) -> Tensor:
+    ) -> States:
         """See ``CommandLimit``."""
         return _at(self.index, self.states, self.bound(ticks, self.dtype))
 
@@ -122,7 +123,7 @@ class Safe:
 
     def __call__(
         self, model: Parameters, policy: Parameters, noise: Parameters, ticks: Tensor
-    ) -> Tensor:
+    ) -> States:
         """See ``CommandLimit``."""
         loop = linear_loop(self.model, self.policy, model, policy, self.dt)
         D = loop.drift + loop.G @ loop.theta

@@ -11,7 +11,10 @@ import math
 from typing import NamedTuple
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
+
+from edtorch.shapes import Features
 
 
 class LinearPart(NamedTuple):
@@ -45,7 +48,7 @@ class Identity(FeatureMap):
     def __init__(self, inputs: int) -> None:
         super().__init__(inputs, inputs)
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x: Features) -> Float[Tensor, "*batch p"]:
         """``[*batch, d] -> [*batch, d]``."""
         return x
 
@@ -60,7 +63,7 @@ class Affine(FeatureMap):
     def __init__(self, inputs: int) -> None:
         super().__init__(inputs, inputs + 1)
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x: Features) -> Float[Tensor, "*batch p"]:
         """``[*batch, d] -> [*batch, 1 + d]``."""
         return torch.cat([torch.ones_like(x[..., :1]), x], dim=-1)
 
@@ -81,7 +84,7 @@ class Pairwise(FeatureMap):
         self.register_buffer("first", first, persistent=False)
         self.register_buffer("second", second, persistent=False)
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x: Features) -> Float[Tensor, "*batch p"]:
         """``[*batch, d] -> [*batch, 1 + d + d (d + 1) / 2]``."""
         products = x[..., self.first] * x[..., self.second]
         return torch.cat([torch.ones_like(x[..., :1]), x, products], dim=-1)
@@ -93,7 +96,7 @@ class Trigonometric(FeatureMap):
     def __init__(self, inputs: int) -> None:
         super().__init__(inputs, 1 + 3 * inputs)
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x: Features) -> Float[Tensor, "*batch p"]:
         """``[*batch, d] -> [*batch, 1 + 3 d]``."""
         angle = math.pi * x
         return torch.cat([torch.ones_like(x[..., :1]), x, angle.sin(), angle.cos()], dim=-1)
@@ -122,7 +125,7 @@ class RandomFourier(FeatureMap):
         self.register_buffer("frequency", normal / lengthscale)
         self.register_buffer("phase", 2 * math.pi * uniform)
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x: Features) -> Float[Tensor, "*batch p"]:
         """``[*batch, d] -> [*batch, 1 + d + K]``."""
         angle = (x.unsqueeze(-2) * self.frequency.to(x)).sum(-1) + self.phase.to(x)
         waves = angle.cos() * math.sqrt(2 / self.phase.shape[0])

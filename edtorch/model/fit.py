@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from edtorch.linalg import matvec, symmetric_eigen
+from edtorch.shapes import Features, States, Weights
 from edtorch.types import Parameters, each_learner
 
 
@@ -31,12 +32,12 @@ class Fitted:
 class Fit(Protocol):
     """A rule for fitting weights that act linearly on features."""
 
-    def initial(self, weight: Tensor) -> Parameters:
+    def initial(self, weight: Weights) -> Parameters:
         """The rule's memory for weights ``[*batch, n, k]``."""
         ...
 
     def update(
-        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+        self, weight: Weights, memory: Parameters, phi: Features, y: States, unit: Tensor
     ) -> Fitted:
         """One step towards W phi = y."""
         ...
@@ -64,12 +65,12 @@ class AbsoluteError:
     def __post_init__(self) -> None:
         _check_rate(self.rate)
 
-    def initial(self, weight: Tensor) -> Parameters:
+    def initial(self, weight: Weights) -> Parameters:
         """No memory."""
         return {}
 
     def update(
-        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+        self, weight: Weights, memory: Parameters, phi: Features, y: States, unit: Tensor
     ) -> Fitted:
         """One subgradient step."""
         residual = y - matvec(weight, phi)
@@ -87,12 +88,12 @@ class SquaredError:
     def __post_init__(self) -> None:
         _check_rate(self.rate)
 
-    def initial(self, weight: Tensor) -> Parameters:
+    def initial(self, weight: Weights) -> Parameters:
         """No memory."""
         return {}
 
     def update(
-        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+        self, weight: Weights, memory: Parameters, phi: Features, y: States, unit: Tensor
     ) -> Fitted:
         """One gradient step."""
         residual = y - matvec(weight, phi)
@@ -119,12 +120,12 @@ class NormalisedSquaredError:
         if not self.floor > 0:
             raise ValueError(f"floor={self.floor}: expected a number > 0")
 
-    def initial(self, weight: Tensor) -> Parameters:
+    def initial(self, weight: Weights) -> Parameters:
         """No memory."""
         return {}
 
     def update(
-        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+        self, weight: Weights, memory: Parameters, phi: Features, y: States, unit: Tensor
     ) -> Fitted:
         """One normalised gradient step."""
         residual = y - matvec(weight, phi)
@@ -156,14 +157,14 @@ class RecursiveLeastSquares:
         if not 0 < self.forgetting <= 1:
             raise ValueError(f"forgetting={self.forgetting}: expected a number in (0, 1]")
 
-    def initial(self, weight: Tensor) -> Parameters:
+    def initial(self, weight: Weights) -> Parameters:
         """P ``[*batch, k, k]``."""
         k = weight.shape[-1]
         eye = torch.eye(k, dtype=weight.dtype, device=weight.device)
         return {"P": (self.prior * eye).expand(*weight.shape[:-2], k, k).clone()}
 
     def update(
-        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+        self, weight: Weights, memory: Parameters, phi: Features, y: States, unit: Tensor
     ) -> Fitted:
         """W += (y - W phi) g', P = (P - g phi' P) / lambda, g = P phi / (lambda + phi' P phi)."""
         P = memory["P"]
@@ -195,7 +196,7 @@ class BayesianLeastSquares:
         if self.priors < 1:
             raise ValueError(f"priors={self.priors}: expected at least one")
 
-    def initial(self, weight: Tensor) -> Parameters:
+    def initial(self, weight: Weights) -> Parameters:
         """A ``[*batch, k, k]``, C = sum phi y' ``[*batch, k, n]``, S = sum y^2 ``[*batch, n]``,
         count ``[*batch]``, P ``[*batch, k, k]``."""
         batch, (n, k) = weight.shape[:-2], weight.shape[-2:]
@@ -210,7 +211,7 @@ class BayesianLeastSquares:
         }
 
     def update(
-        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+        self, weight: Weights, memory: Parameters, phi: Features, y: States, unit: Tensor
     ) -> Fitted:
         """Add the sample, choose the prior, solve."""
         residual = y - matvec(weight, phi)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from edtorch.linalg import matvec
 from edtorch.model.fit import Fitted, RecursiveLeastSquares
+from edtorch.shapes import Features, States, Weights
 from edtorch.types import Parameters, each_learner
 
 
@@ -64,7 +65,7 @@ class AdaptiveLeastSquares:
         }
 
     def update(
-        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+        self, weight: Weights, memory: Parameters, phi: Features, y: States, unit: Tensor
     ) -> Fitted:
         """Look at the innovation, perhaps doubt, then learn from it."""
         P = memory["P"]

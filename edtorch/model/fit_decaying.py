@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from edtorch.model.fit import Fit, Fitted
+from edtorch.shapes import Features, States, Weights
 from edtorch.types import Parameters
 
 
@@ -39,7 +40,7 @@ class DecayingFit:
         return self.rule.initial(weight) | {"learned": weight.new_zeros(weight.shape[:-2])}
 
     def update(
-        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+        self, weight: Weights, memory: Parameters, phi: Features, y: States, unit: Tensor
     ) -> Fitted:
         """One step, smaller than the one before."""
         learned = memory["learned"]

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from edtorch.linalg import matvec
 from edtorch.model.fit import Fitted
+from edtorch.shapes import Features, States, Weights
 from edtorch.types import Parameters, select
 
 
@@ -56,7 +57,7 @@ class Ridge:
         }
 
     def update(
-        self, weight: Tensor, memory: Parameters, phi: Tensor, y: Tensor, unit: Tensor
+        self, weight: Weights, memory: Parameters, phi: Features, y: States, unit: Tensor
     ) -> Fitted:
         """Put the sample into the block; at its end, solve.
 

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from edtorch.initial import population
 from edtorch.linalg import matvec
 from edtorch.model.features import FeatureMap, linear_part
+from edtorch.shapes import Actions, Features, Squares, States
 from edtorch.types import Parameters, Transition, each_learner
 
 
@@ -60,23 +61,23 @@ class Model(Protocol):
         """The first parameters, one set per seed, a function of that seed alone."""
         ...
 
-    def phi(self, state: Tensor, action: Tensor) -> Tensor:
+    def phi(self, state: States, action: Actions) -> Features:
         """What a rule for nu~ knows of state and action, ``[*batch, k]``."""
         ...
 
-    def output(self, parameters: Parameters, state: Tensor, action: Tensor) -> Tensor:
+    def output(self, parameters: Parameters, state: States, action: Actions) -> States:
         """y~, what is fitted to ``target``, ``[*batch, n]``."""
         ...
 
-    def next(self, parameters: Parameters, state: Tensor, action: Tensor, dt: float) -> Tensor:
+    def next(self, parameters: Parameters, state: States, action: Actions, dt: float) -> States:
         """mu~, the state ``[*batch, n]`` ``dt`` seconds later."""
         ...
 
-    def target(self, transition: Transition) -> Tensor:
+    def target(self, transition: Transition) -> States:
         """y ``[*batch, n]``."""
         ...
 
-    def displacement(self, transition: Transition) -> Tensor:
+    def displacement(self, transition: Transition) -> States:
         """s' - s ``[*batch, n]``, the short way round the circle where a component is an angle."""
         ...
 
@@ -88,7 +89,7 @@ class Model(Protocol):
         """Covariance that nu~ adds in ``dt`` seconds."""
         ...
 
-    def residual_noise(self, residual: Tensor, dt: Tensor) -> Tensor:
+    def residual_noise(self, residual: States, dt: Tensor) -> Squares:
         """Step 2 of Fig. 1: the squared residual ``[*batch, n, n]``, in the unit of nu~."""
         ...
 
@@ -139,7 +140,7 @@ class Dynamics(nn.Module):
         per_unit = torch.where(circular, 1 / torch.where(circular, period, 1.0), 0.0)
         self.register_buffer("turns_per_unit", per_unit, persistent=False)
 
-    def displacement(self, transition: Transition) -> Tensor:
+    def displacement(self, transition: Transition) -> States:
         """s' - s, ``[*batch, n]``, the short way round the circle where a component is an angle."""
         difference = transition.next_state - transition.state
         return difference - self.period * torch.round(difference * self.turns_per_unit)
@@ -155,12 +156,12 @@ class Derivative(Dynamics):
         """What a rate of the configuration is multiplied with in one update: the seconds."""
         return dt
 
-    def target(self, transition: Transition) -> Tensor:
+    def target(self, transition: Transition) -> States:
         """(s' - s) / dt, ``[*batch, n]`` per second."""
         displacement = self.displacement(transition)
         return displacement / each_learner(transition.dt, displacement.ndim)
 
-    def advance(self, state: Tensor, output: Tensor, dt: float) -> Tensor:
+    def advance(self, state: States, output: States, dt: float) -> States:
         """One Euler step of ``dt`` seconds, s + dt y~, ``[*batch, n]``."""
         return state + dt * output
 
@@ -172,7 +173,7 @@ class Derivative(Dynamics):
         """Covariance that ``noise`` (per second) adds in ``dt`` seconds."""
         return noise * dt
 
-    def residual_noise(self, residual: Tensor, dt: Tensor) -> Tensor:
+    def residual_noise(self, residual: States, dt: Tensor) -> Squares:
         """Step 2 of Fig. 1: e e' dt, squared error per second, ``[*batch, n, n]``."""
         squared = residual.unsqueeze(-1) * residual.unsqueeze(-2)
         return squared * each_learner(dt, squared.ndim)
@@ -188,11 +189,11 @@ class NextState(Dynamics):
         """What a rate of the configuration is multiplied with in one update: 1."""
         return torch.ones_like(dt)
 
-    def target(self, transition: Transition) -> Tensor:
+    def target(self, transition: Transition) -> States:
         """s', ``[*batch, n]``, counted on from s where a component is an angle."""
         return transition.state + self.displacement(transition)
 
-    def advance(self, state: Tensor, output: Tensor, dt: float) -> Tensor:
+    def advance(self, state: States, output: States, dt: float) -> States:
         """The next state, y~, ``[*batch, n]``; ``dt`` does not enter."""
         return output
 
@@ -204,7 +205,7 @@ class NextState(Dynamics):
         """Covariance that ``noise`` (per step) adds in one step."""
         return noise
 
-    def residual_noise(self, residual: Tensor, dt: Tensor) -> Tensor:
+    def residual_noise(self, residual: States, dt: Tensor) -> Squares:
         """Step 2 of Fig. 1: (s' - mu~)(s' - mu~)', ``[*batch, n, n]``."""
         return residual.unsqueeze(-1) * residual.unsqueeze(-2)
 
@@ -237,15 +238,15 @@ class LinearModel(Dynamics):
         """The template's parameters, the same for every seed: zero."""
         return population(self, len(seeds))
 
-    def phi(self, state: Tensor, action: Tensor) -> Tensor:
+    def phi(self, state: States, action: Actions) -> Features:
         """phi(s, a), ``[*batch, k]``."""
         return self.features(torch.cat([state, action], dim=-1))
 
-    def regressor(self, transition: Transition) -> Tensor:
+    def regressor(self, transition: Transition) -> Features:
         """phi(s, a) of a transition, ``[*batch, k]``."""
         return self.phi(transition.state, transition.action)
 
-    def output(self, parameters: Parameters, state: Tensor, action: Tensor) -> Tensor:
+    def output(self, parameters: Parameters, state: States, action: Actions) -> States:
         """W phi(s, a), ``[*batch, n]``."""
         return matvec(parameters["weight"], self.phi(state, action))
 
@@ -261,11 +262,11 @@ class LinearModel(Dynamics):
 class DerivativeModel(LinearModel, Derivative):
     """ds/dt = W phi(s, a) (section 4); rates and noise are per second."""
 
-    def forward(self, state: Tensor, action: Tensor, dt: float) -> Tensor:
+    def forward(self, state: States, action: Actions, dt: float) -> States:
         """``next`` with the template's weight."""
         return self.next({"weight": self.weight}, state, action, dt)
 
-    def next(self, parameters: Parameters, state: Tensor, action: Tensor, dt: float) -> Tensor:
+    def next(self, parameters: Parameters, state: States, action: Actions, dt: float) -> States:
         """mu~: one Euler step of ``dt`` seconds, s + dt W phi(s, a), ``[*batch, n]``."""
         return self.advance(state, self.output(parameters, state, action), dt)
 
@@ -285,11 +286,11 @@ class DerivativeModel(LinearModel, Derivative):
 class NextStateModel(LinearModel, NextState):
     """s' = W phi(s, a) (Fig. 1); rates and noise are per step, and the unroll steps by the tick."""
 
-    def forward(self, state: Tensor, action: Tensor, dt: float) -> Tensor:
+    def forward(self, state: States, action: Actions, dt: float) -> States:
         """``next`` with the template's weight."""
         return self.next({"weight": self.weight}, state, action, dt)
 
-    def next(self, parameters: Parameters, state: Tensor, action: Tensor, dt: float) -> Tensor:
+    def next(self, parameters: Parameters, state: States, action: Actions, dt: float) -> States:
         """mu~: the next state, W phi(s, a), ``[*batch, n]``; ``dt`` does not enter."""
         return self.advance(state, self.output(parameters, state, action), dt)
 

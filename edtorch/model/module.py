@@ -12,6 +12,7 @@ from edtorch.functional import population_call
 from edtorch.initial import drawn
 from edtorch.model.models import Derivative, Dynamics, Model, NextState
 from edtorch.seeding import Purpose
+from edtorch.shapes import Actions, Features, States
 from edtorch.types import Parameters
 
 
@@ -50,11 +51,11 @@ class ModuleModel(Dynamics):
         """Drawn for each seed."""
         return drawn(self.module, seeds, Purpose.MODEL)
 
-    def phi(self, state: Tensor, action: Tensor) -> Tensor:
+    def phi(self, state: States, action: Actions) -> Features:
         """State and action, ``[*batch, n + m]``."""
         return torch.cat([state, action], dim=-1)
 
-    def output(self, parameters: Parameters, state: Tensor, action: Tensor) -> Tensor:
+    def output(self, parameters: Parameters, state: States, action: Actions) -> Tensor:
         """y~ ``[*more, B, n]``."""
         own = {name: parameters[name] for name in self.names}
         return population_call(self.module, own, state, action)
@@ -63,7 +64,7 @@ class ModuleModel(Dynamics):
 class DerivativeModule(ModuleModel, Derivative):
     """ds/dt = module(s, a); rates and noise are per second."""
 
-    def next(self, parameters: Parameters, state: Tensor, action: Tensor, dt: float) -> Tensor:
+    def next(self, parameters: Parameters, state: States, action: Actions, dt: float) -> Tensor:
         """mu~: one Euler step of ``dt`` seconds, ``[*more, B, n]``."""
         return self.advance(state, self.output(parameters, state, action), dt)
 
@@ -71,7 +72,7 @@ class DerivativeModule(ModuleModel, Derivative):
 class NextStateModule(ModuleModel, NextState):
     """s' = module(s, a); rates and noise are per step."""
 
-    def next(self, parameters: Parameters, state: Tensor, action: Tensor, dt: float) -> Tensor:
+    def next(self, parameters: Parameters, state: States, action: Actions, dt: float) -> Tensor:
         """mu~: the next state, ``[*more, B, n]``."""
         return self.advance(state, self.output(parameters, state, action), dt)
 

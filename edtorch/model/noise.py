@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from edtorch.linalg import matvec, symmetric_eigen
+from edtorch.shapes import Features, Squares
 from edtorch.types import Parameters, each_learner
 
 
@@ -34,7 +35,7 @@ class Noise(Protocol):
         ...
 
     def update(
-        self, memory: Parameters, squared: Tensor, phi: Tensor, fit: Parameters, unit: Tensor
+        self, memory: Parameters, squared: Squares, phi: Features, fit: Parameters, unit: Tensor
     ) -> Parameters:
         """Move nu~ towards ``squared`` ``[*batch, n, n]``, the residual times itself.
 
@@ -43,7 +44,7 @@ class Noise(Protocol):
         """
         ...
 
-    def covariance(self, memory: Parameters, phi: Tensor) -> Tensor:
+    def covariance(self, memory: Parameters, phi: Features) -> Tensor:
         """nu~ ``[*batch, n, n]`` at features ``[*batch, k]``."""
         ...
 
@@ -91,12 +92,12 @@ class ResidualNoise:
         return {"nu": weight.new_zeros(*weight.shape[:-2], n, n)}
 
     def update(
-        self, memory: Parameters, squared: Tensor, phi: Tensor, fit: Parameters, unit: Tensor
+        self, memory: Parameters, squared: Squares, phi: Features, fit: Parameters, unit: Tensor
     ) -> Parameters:
         """One step of the average."""
         return {"nu": _averaged(memory["nu"], squared, _share(self.rate, unit))}
 
-    def covariance(self, memory: Parameters, phi: Tensor) -> Tensor:
+    def covariance(self, memory: Parameters, phi: Features) -> Tensor:
         """nu, wherever the state is."""
         return memory["nu"]
 
@@ -124,7 +125,7 @@ class LinearNoise:
         return {"V": weight.new_zeros(*batch, 1 + k, n, n)}
 
     def update(
-        self, memory: Parameters, squared: Tensor, phi: Tensor, fit: Parameters, unit: Tensor
+        self, memory: Parameters, squared: Squares, phi: Features, fit: Parameters, unit: Tensor
     ) -> Parameters:
         """One projected gradient step."""
         psi = self._psi(phi)
@@ -135,7 +136,7 @@ class LinearNoise:
         values, vectors = symmetric_eigen(0.5 * (moved + moved.mT))
         return {"V": (vectors * values.clamp(min=0.0).unsqueeze(-2)) @ vectors.mT}
 
-    def covariance(self, memory: Parameters, phi: Tensor) -> Tensor:
+    def covariance(self, memory: Parameters, phi: Features) -> Tensor:
         """sum_k psi_k V_k."""
         return (self._psi(phi).unsqueeze(-1).unsqueeze(-1) * memory["V"]).sum(-3)
 
@@ -178,14 +179,14 @@ class BayesianNoise:
         return {"nu": weight.new_zeros(*batch, n, n), "P": weight.new_zeros(*batch, k, k)}
 
     def update(
-        self, memory: Parameters, squared: Tensor, phi: Tensor, fit: Parameters, unit: Tensor
+        self, memory: Parameters, squared: Squares, phi: Features, fit: Parameters, unit: Tensor
     ) -> Parameters:
         """One step of the average; P is taken from the fit."""
         factor = 1 + self._ignorance(fit["P"], phi)
         nu = _averaged(memory["nu"], squared / factor, _share(self.rate, unit))
         return {"nu": nu, "P": fit["P"]}
 
-    def covariance(self, memory: Parameters, phi: Tensor) -> Tensor:
+    def covariance(self, memory: Parameters, phi: Features) -> Tensor:
         """nu (1 + stretch phi' P phi)."""
         return memory["nu"] * (1 + self.stretch * self._ignorance(memory["P"], phi))
 

@@ -12,6 +12,7 @@ from edtorch.functional import population_call
 from edtorch.initial import drawn
 from edtorch.policy.policies import Policy, limited
 from edtorch.seeding import Purpose
+from edtorch.shapes import States
 from edtorch.types import Parameters
 
 _RESERVED = ("limit", "model")
@@ -70,11 +71,11 @@ class ModulePolicy(nn.Module):
         """Drawn for each seed."""
         return drawn(self.module, seeds, Purpose.POLICY)
 
-    def forward(self, state: Tensor) -> Tensor:
+    def forward(self, state: States) -> Tensor:
         """The module's action with its own parameters."""
         return self.module(state)
 
-    def action(self, parameters: Parameters, state: Tensor) -> Tensor:
+    def action(self, parameters: Parameters, state: States) -> Tensor:
         """See ``Policy``."""
         own = {name: parameters[name] for name in self.names}
         return population_call(self.module, own, limited(parameters, state))

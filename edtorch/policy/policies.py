@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from edtorch.initial import population
 from edtorch.linalg import matvec
 from edtorch.model.features import FeatureMap, linear_part
+from edtorch.shapes import Actions, States
 from edtorch.types import Parameters
 
 
@@ -32,7 +33,7 @@ class Policy(Protocol):
         """The first parameters, one set per seed, a function of that seed alone."""
         ...
 
-    def action(self, parameters: Parameters, state: Tensor, /) -> Tensor:
+    def action(self, parameters: Parameters, state: States, /) -> Actions:
         """``[*more, B, n] -> [*more, B, m]``, both scaled.
 
         There may be further parameters, which are not the policy's: a ``limit`` ``[B, n]`` bounds
@@ -99,11 +100,11 @@ class LinearPolicy(nn.Module):
         """The template's parameters, the same for every seed: zero."""
         return population(self, len(seeds))
 
-    def forward(self, state: Tensor) -> Tensor:
+    def forward(self, state: States) -> Actions:
         """``[*batch, n] -> [*batch, m]``."""
         return self.action({"weight": self.weight}, state)
 
-    def action(self, parameters: Parameters, state: Tensor) -> Tensor:
+    def action(self, parameters: Parameters, state: States) -> Actions:
         """``forward`` with these parameters; in the loop, ``functional_call`` would cost more.
 
         A ``limit`` ``[*batch, n]`` among them bounds what is seen of the state
@@ -149,7 +150,7 @@ class CentredPolicy(LinearPolicy):
 class SquashedPolicy(LinearPolicy):
     """pi(s) = tanh(theta . phi(s)): actions bounded by their scale, smooth at the bound."""
 
-    def action(self, parameters: Parameters, state: Tensor) -> Tensor:
+    def action(self, parameters: Parameters, state: States) -> Actions:
         """``[*batch, n] -> [*batch, m]`` in (-1, 1)."""
         return torch.tanh(super().action(parameters, state))
 

@@ -13,10 +13,11 @@ from typing import ClassVar, Protocol
 import torch
 from torch import Tensor
 
+from edtorch.shapes import Rows
 from edtorch.types import Parameters
 
 
-def gradient_norm(gradient: Parameters) -> Tensor:
+def gradient_norm(gradient: Parameters) -> Rows:
     """|dV/dtheta| of each learner, ``[B]``."""
     squares = [g.square().sum(tuple(range(1, g.ndim))) for g in gradient.values()]
     return torch.stack(squares).sum(0).sqrt()

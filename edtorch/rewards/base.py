@@ -8,6 +8,7 @@ from torch import Tensor
 
 from edtorch.derivatives import StateFunction, scalar_curvature
 from edtorch.rewards.form import QuadraticForm
+from edtorch.shapes import Actions, Rows, States
 from edtorch.types import Belief
 
 
@@ -25,7 +26,7 @@ class Reward(Protocol):
     * ``actions``: the m that r expects, for the checks of ``edtorch.value.checks``.
     """
 
-    def __call__(self, state: Tensor, action: Tensor, /) -> Tensor:
+    def __call__(self, state: States, action: Actions, /) -> Rows:
         """The reward of each row."""
         ...
 
@@ -40,13 +41,13 @@ def target_of(reward: Reward) -> Tensor | None:
     return getattr(reward, "target", None)
 
 
-def exact_expectation(reward: Reward, belief: Belief) -> Tensor | None:
+def exact_expectation(reward: Reward, belief: Belief) -> Rows | None:
     """The reward's own expectation ``[*batch]``, None where it offers none."""
     offered = getattr(reward, "expected", None)
     return None if offered is None else offered(belief)
 
 
-def expected_reward(reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
+def expected_reward(reward: Reward, belief: Belief, policy: StateFunction) -> Rows:
     """E[r_pi] = r_pi(mean) + 1/2 tr(D^2 r_pi(mean) cov) (eq. 1; Fig. 1 step 6c), ``[*batch]``.
 
     r_pi(s) = r(s, pi(s)): the curvature includes the policy's.  Exact for quadratic r_pi and any

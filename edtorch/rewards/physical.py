@@ -8,6 +8,7 @@ from torch import Tensor
 
 from edtorch.rewards.base import Reward, quadratic_form_of, target_of
 from edtorch.rewards.form import QuadraticForm
+from edtorch.shapes import Actions, States
 from edtorch.types import Belief
 
 
@@ -25,7 +26,7 @@ class PhysicalReward:
         self.actions = action_scale.shape[0]
         self.smooth = getattr(reward, "smooth", True)
 
-    def __call__(self, state: Tensor, action: Tensor, /) -> Tensor:
+    def __call__(self, state: States, action: Actions, /) -> Tensor:
         """``[*batch]``."""
         return self.reward(state * self.state_scale, action * self.action_scale)
 

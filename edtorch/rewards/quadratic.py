@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from edtorch.rewards.form import QuadraticForm as QuadraticForm
+from edtorch.shapes import Actions, Rows, States
 
 
 class QuadraticReward:
@@ -64,7 +65,7 @@ class QuadraticReward:
             cross is None and action_linear is None
         )
 
-    def __call__(self, state: Tensor, action: Tensor, /) -> Tensor:
+    def __call__(self, state: States, action: Actions, /) -> Rows:
         """Minus the cost, ``[*batch]``."""
         away = state if self.target is None else state - self.target
         push = action if self.action_target is None else action - self.action_target

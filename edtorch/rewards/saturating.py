@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from edtorch.shapes import Actions, Rows, States
 from edtorch.types import Belief
 
 
@@ -72,11 +73,11 @@ class SaturatingReward:
         """L e, ``[*batch, k]``."""
         return state @ self._rows.mT.to(state) - self._offset.to(state)
 
-    def __call__(self, state: Tensor, action: Tensor | None = None, /) -> Tensor:
+    def __call__(self, state: States, action: Actions | None = None, /) -> Rows:
         """``[*batch]`` of states ``[*batch, n]``; actions do not count."""
         return torch.exp(-0.5 * self._deviation(state).square().sum(-1)) - 1
 
-    def expected(self, belief: Belief) -> Tensor:
+    def expected(self, belief: Belief) -> Rows:
         """The expectation under a Gaussian, ``[*batch]``."""
         rows = self._rows.to(belief.cov)
         deviation = self._deviation(belief.mean).unsqueeze(-1)

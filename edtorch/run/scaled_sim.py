@@ -6,10 +6,12 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from edtorch.rewards import Reward
 from edtorch.run.success import SuccessRule
+from edtorch.shapes import Actions, Features, States
 from edtorch.types import Transition
 from sims.base import Actuated, Fallible, Losing, Outcome, Rewarded, Sim
 
@@ -97,7 +99,7 @@ class World:
         """Whether angles are counted on, so that an observation needs the one before."""
         return self._farthest is not None
 
-    def initial(self, uniform: Tensor) -> Tensor:
+    def initial(self, uniform: Float[Tensor, "*batch u"]) -> Features:
         """Start states of the sim, ``[B, k]``, from a tick's uniforms ``[B, u]``."""
         return self.sim.initial(uniform[..., self.spec.disturbance_dim :].to(torch.float64))
 
@@ -106,12 +108,12 @@ class World:
         reset = uniform[..., self.spec.disturbance_dim :].to(torch.float64)
         return self.sim.restart(state, mask, reset)
 
-    def observe(self, state: Tensor, before: Tensor | None = None) -> Tensor:
+    def observe(self, state: Features, before: States | None = None) -> States:
         """Scaled observation ``[B, n]``; before ``[B, n]``: the one that angles are counted on
         from, None at the start of an episode."""
         return self.counted(self.sim.observe(state), before)
 
-    def counted(self, observed: Tensor, before: Tensor | None = None) -> Tensor:
+    def counted(self, observed: States, before: States | None = None) -> States:
         """``observe`` of what the sim lets a learner see, ``[B, n]`` in physical units."""
         wrapped = (observed / self._state_scale).to(self.dtype)
         if before is None or self._farthest is None:
@@ -120,22 +122,24 @@ class World:
         counted = wrapped + turns * self.period
         return torch.where(counted.abs() <= self._farthest, counted, wrapped)
 
-    def clip(self, action: Tensor) -> Tensor:
+    def clip(self, action: Actions) -> Actions:
         """The scaled action as it acts: within its bounds where the domain clips."""
         if not self.spec.clip_action:
             return action
         return torch.minimum(torch.maximum(action, self._low), self._high)
 
-    def step(self, state: Tensor, action: Tensor, uniform: Tensor) -> Tensor:
+    def step(
+        self, state: Features, action: Actions, uniform: Float[Tensor, "*batch u"]
+    ) -> Features:
         """The sim's state one tick later; action ``[B, m]`` scaled, from ``clip``."""
         disturbance = uniform[..., : self.spec.disturbance_dim].to(torch.float64)
         return self.sim.step(state, self.physical(action), disturbance)
 
-    def physical(self, action: Tensor) -> Tensor:
+    def physical(self, action: Actions) -> Actions:
         """A scaled action ``[B, m]`` in physical units, float64."""
         return (action * self._action_scale).to(torch.float64)
 
-    def scaled(self, action: Tensor) -> Tensor:
+    def scaled(self, action: Actions) -> Actions:
         """An action in physical units ``[B, m]``, scaled."""
         return action.to(self.dtype) / self._action_scale
 

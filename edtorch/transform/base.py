@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from torch import Tensor
-
 from edtorch.derivatives import StateFunction
 from edtorch.rewards import Reward
+from edtorch.shapes import Rows
 from edtorch.types import Belief
 
 
@@ -49,6 +48,6 @@ class Transform(Protocol):
         """
         ...
 
-    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
+    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Rows:
         """Expected reward ``[*batch]`` of a belief under the policy."""
         ...

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from edtorch.derivatives import StateFunction
 from edtorch.rewards import Reward
+from edtorch.shapes import Rows
 from edtorch.transform import points
 from edtorch.transform.noise import is_positive
 from edtorch.types import Belief
@@ -47,6 +48,6 @@ class Cubature:
         """One step; see the class."""
         return points.move(belief, closed_loop, noise, cubature_nodes(belief.mean))
 
-    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
+    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Rows:
         """r_pi averaged over the same kind of points; exact for r_pi of degree 3."""
         return points.reward(reward, belief, policy, cubature_nodes(belief.mean))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torch import Tensor
-
 from edtorch.derivatives import StateFunction, loop_jacobian
 from edtorch.rewards import Reward, expected_reward
+from edtorch.shapes import Rows
 from edtorch.transform.noise import is_positive
 from edtorch.transform.positive import symmetric
 from edtorch.types import Belief
@@ -37,6 +36,6 @@ class FirstOrder:
         cov = noise(belief.mean) + jacobian @ belief.cov @ jacobian.mT
         return Belief(closed_loop(belief.mean), symmetric(cov))
 
-    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
+    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Rows:
         """Step 6c of Fig. 1."""
         return expected_reward(reward, belief, policy)

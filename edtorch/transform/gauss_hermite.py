@@ -10,6 +10,7 @@ from torch import Tensor
 
 from edtorch.derivatives import StateFunction
 from edtorch.rewards import Reward
+from edtorch.shapes import Rows
 from edtorch.transform import points
 from edtorch.transform.noise import is_positive
 from edtorch.types import Belief
@@ -48,6 +49,6 @@ class GaussHermite:
         """One step; see the class."""
         return points.move(belief, closed_loop, noise, hermite_nodes(self.order, belief.mean))
 
-    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
+    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Rows:
         """r_pi averaged over the grid."""
         return points.reward(reward, belief, policy, hermite_nodes(self.order, belief.mean))

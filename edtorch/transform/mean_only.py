@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torch import Tensor
-
 from edtorch.derivatives import StateFunction
 from edtorch.rewards import Reward
+from edtorch.shapes import Rows
 from edtorch.types import Belief
 
 
@@ -32,6 +31,6 @@ class MeanOnly:
         """Step 6a of Fig. 1."""
         return Belief(closed_loop(belief.mean), belief.cov)
 
-    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
+    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Rows:
         """r_pi at the mean."""
         return reward(belief.mean, policy(belief.mean))

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from edtorch.derivatives import StateFunction
 from edtorch.rewards import Reward
+from edtorch.shapes import Rows
 from edtorch.transform import points
 from edtorch.transform.noise import is_positive
 from edtorch.types import Belief
@@ -43,6 +44,6 @@ class MonteCarlo:
         """One step; see the class."""
         return points.move(belief, closed_loop, noise, self._nodes(belief.mean))
 
-    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
+    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Rows:
         """r_pi averaged over the draws."""
         return points.reward(reward, belief, policy, self._nodes(belief.mean))

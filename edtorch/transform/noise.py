@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from edtorch.derivatives import StateFunction
+from edtorch.shapes import Squares, States
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class ConstantNoise:
     positive = True
     constant = True
 
-    def __call__(self, state: Tensor) -> Tensor:
+    def __call__(self, state: States) -> Squares:
         """``[*more, *batch, n] -> [*more, *batch, n, n]``."""
         return self.cov.expand(*state.shape, state.shape[-1])
 
@@ -32,7 +33,7 @@ class PositiveNoise:
     function: StateFunction
     positive = True
 
-    def __call__(self, state: Tensor) -> Tensor:
+    def __call__(self, state: States) -> Squares:
         """The function's value."""
         return self.function(state)
 

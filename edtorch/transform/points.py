@@ -27,6 +27,7 @@ from torch import Tensor
 
 from edtorch.derivatives import StateFunction
 from edtorch.rewards.base import Reward, exact_expectation
+from edtorch.shapes import Rows, Squares
 from edtorch.transform.positive import symmetric
 from edtorch.types import Belief
 
@@ -38,7 +39,7 @@ class Nodes(NamedTuple):
     weight: Tensor
 
 
-def factor(cov: Tensor) -> Tensor:
+def factor(cov: Squares) -> Squares:
     """Lower triangular L ``[*batch, n, n]`` with L L' = cov + jitter; see the module.
 
     Differentiable at every positive semidefinite ``cov``, 0 included.  Rows that are not positive
@@ -75,7 +76,7 @@ def move(belief: Belief, closed_loop: StateFunction, noise: StateFunction, nodes
     return Belief(mean, symmetric(cov + _average(nodes.weight, noise(points))))
 
 
-def reward(reward: Reward, belief: Belief, policy: StateFunction, nodes: Nodes) -> Tensor:
+def reward(reward: Reward, belief: Belief, policy: StateFunction, nodes: Nodes) -> Rows:
     """r_pi averaged over the points, ``[*batch]``, unless the reward knows its expectation."""
     exact = exact_expectation(reward, belief)
     if exact is not None:

@@ -8,12 +8,13 @@ import torch
 from torch import Tensor
 
 from edtorch.linalg import symmetric_eigen
+from edtorch.shapes import Squares
 
 _TOLERANCE = 1e-12
 """Eigenvalues above -_TOLERANCE times the largest count as rounding."""
 
 
-def symmetric(matrix: Tensor) -> Tensor:
+def symmetric(matrix: Squares) -> Squares:
     """(A + A') / 2, which removes the asymmetry of rounding."""
     return 0.5 * (matrix + matrix.mT)
 
@@ -26,7 +27,7 @@ class Floored(NamedTuple):
     began: Tensor
 
 
-def floored(cov: Tensor) -> Floored:
+def floored(cov: Squares) -> Floored:
     """The nearest positive semidefinite matrix: negative eigenvalues become 0.
 
     cov ``[*batch, n, n]``, symmetric.  The correction counts as a constant in derivatives,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
 from edtorch.derivatives import StateFunction, curvature, curvature_products, loop_jacobian
 from edtorch.rewards import Reward, expected_reward
+from edtorch.shapes import Rows
 from edtorch.transform.noise import is_constant
 from edtorch.transform.positive import symmetric
 from edtorch.types import Belief
@@ -56,6 +56,6 @@ class SecondOrder:
         moved = added + jacobian @ cov @ jacobian.mT + 0.5 * spread
         return Belief(closed_loop(mean) + 0.5 * bend, symmetric(moved))
 
-    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Tensor:
+    def reward(self, reward: Reward, belief: Belief, policy: StateFunction) -> Rows:
         """Eq. 1, with the curvature of the policy in it."""
         return expected_reward(reward, belief, policy)

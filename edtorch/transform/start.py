@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 from edtorch.errors import NonFiniteError, ShapeError
+from edtorch.shapes import States
 from edtorch.types import Belief
 
 
-def point_belief(state: Tensor) -> Belief:
+def point_belief(state: States) -> Belief:
     """All probability at ``state`` ``[*batch, n]`` (Fig. 1, steps 3 and 4)."""
     n = state.shape[-1]
     return Belief(state, torch.zeros(*state.shape, n, dtype=state.dtype, device=state.device))

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from edtorch.derivatives import StateFunction
 from edtorch.rewards import Reward
+from edtorch.shapes import Rows
 from edtorch.transform import FirstOrder, SecondOrder
 from edtorch.types import Belief, LearnerState
 from edtorch.value.unroll import Generic, Horizon, propagate
@@ -21,7 +22,7 @@ def value_error_estimate(
     reward: Reward,
     noise: StateFunction,
     horizon: Horizon,
-) -> Tensor:
+) -> Rows:
     """V'_second - V'_first ``[*batch]``: an estimate, with its sign, of V - V'_first.
 
     Same start, closed loop, policy and reward in both; arguments as in

@@ -29,12 +29,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
 from edtorch.linalg import matvec
 from edtorch.model.models import Model, dynamics_of
 from edtorch.policy.policies import GainedPolicy, LinearGain
+from edtorch.shapes import Actions, Inputs, Squares, States
 from edtorch.types import Parameters
 from edtorch.value.linear.lqr import doubled_lqr
 from edtorch.value.unroll import ValueGradient
@@ -72,16 +74,16 @@ class HoldSettings:
 
 
 def equilibrium(
-    drift: Tensor,
-    G: Tensor,
-    constant: Tensor,
-    centre: Tensor,
-    excursion: Tensor,
+    drift: Squares,
+    G: Inputs,
+    constant: States,
+    centre: States,
+    excursion: States,
     held: Tensor,
-    middle: Tensor,
-    half: Tensor,
+    middle: Float[Tensor, " m"],
+    half: Float[Tensor, " m"],
     slack: float,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[States, Actions]:
     """s_eq ``[B, n]`` and a_eq ``[B, m]``, see above; a_eq is clamped to its range.
 
     drift D ``[B, n, n]``, G ``[B, n, m]``, constant c ``[B, n]``; centre ``[B, n]`` with the
@@ -99,7 +101,7 @@ def equilibrium(
     return centre + free * found[..., :n], middle + half * found[..., n:].clamp(-1, 1)
 
 
-def summed(A: Tensor, cost: Tensor, doublings: int) -> Tensor:
+def summed(A: Squares, cost: Squares, doublings: int) -> Squares:
     """sum over tau < 2^doublings of A'^tau cost A^tau, ``[B, N, N]``, by doubling."""
     for _ in range(doublings):
         cost = cost + A.mT @ cost @ A

@@ -10,6 +10,7 @@ from torch.nn.functional import pad
 
 from edtorch.model.models import Model, dynamics_of
 from edtorch.policy.policies import LinearGain, Policy, gain_of
+from edtorch.shapes import ActionCost, CrossCost, Gains, Inputs, Squares, StateCost
 from edtorch.types import Parameters
 
 
@@ -48,8 +49,8 @@ def squared(matrix: Tensor) -> Tensor:
 
 
 def loop_cost(
-    state_cost: Tensor, action_cost: Tensor | None, cross: Tensor | None, theta: Tensor
-) -> Tensor:
+    state_cost: StateCost, action_cost: ActionCost | None, cross: CrossCost | None, theta: Gains
+) -> Squares:
     """C = Q + theta'R theta + N theta + theta'N' ``[B, N, N]``, the cost along a = theta s.
 
     state_cost Q ``[N, N]``, action_cost R ``[m, m]`` and cross N ``[N, m]``, None for zero.
@@ -64,12 +65,12 @@ def loop_cost(
 
 
 def priced_actions(
-    gradient: Tensor,
-    action_cost: Tensor | None,
-    cross: Tensor | None,
-    theta: Tensor,
-    moment: Tensor,
-) -> Tensor:
+    gradient: Gains,
+    action_cost: ActionCost | None,
+    cross: CrossCost | None,
+    theta: Gains,
+    moment: Squares,
+) -> Gains:
     """dV/dtheta with what the actions cost of themselves: ``gradient`` - 2 (R theta + N') M.
 
     moment M ``[B, N, N]``: the weighted sum of the second moments; the rest as in ``loop_cost``.
@@ -110,7 +111,7 @@ def linear_loop(
     return LinearLoop(pad(rows, (0, 0, 1, 0)), pad(G, (0, 0, 1, 0)), theta, True, affine)
 
 
-def closed(drift: Tensor, G: Tensor, theta: Tensor) -> Tensor:
+def closed(drift: Squares, G: Inputs, theta: Gains) -> Squares:
     """A = I + drift + G theta, ``[B, N, N]``."""
     A = torch.baddbmm(drift, G, theta)
     A.diagonal(dim1=-2, dim2=-1).add_(1)

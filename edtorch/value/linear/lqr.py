@@ -11,8 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
+from edtorch.shapes import ActionCost, Gains, Inputs, Rows, Squares, StateCost
 from edtorch.types import Belief
 
 
@@ -38,7 +40,7 @@ def _gain(F: Tensor, G: Tensor, R: Tensor, P: Tensor, discount: float) -> Tensor
 
 
 def finite_horizon_lqr(
-    F: Tensor, G: Tensor, Q: Tensor, R: Tensor, *, steps: int, discount: float = 1.0
+    F: Squares, G: Inputs, Q: StateCost, R: ActionCost, *, steps: int, discount: float = 1.0
 ) -> LqrSolution:
     """Riccati's recursion backwards: the gains that maximise the sum of ``steps`` + 1 rewards.
 
@@ -71,8 +73,14 @@ def _doubled(A: Tensor, W: Tensor, H: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def stationary_lqr(
-    F: Tensor, G: Tensor, Q: Tensor, R: Tensor, *, discount: float = 1.0, tolerance: float = 1e-13
-) -> tuple[Tensor, Tensor]:
+    F: Squares,
+    G: Inputs,
+    Q: StateCost,
+    R: ActionCost,
+    *,
+    discount: float = 1.0,
+    tolerance: float = 1e-13,
+) -> tuple[Gains, Squares]:
     """Gain theta ``[*batch, m, n]`` and cost P ``[*batch, n, n]`` of the infinite horizon.
 
     Solves P = Q + F'P F - F'P G (R + G'P G)^-1 G'P F (discounted) by doubling the horizon at each
@@ -92,7 +100,14 @@ def stationary_lqr(
     raise NotConverged("no stationary regulator: the system cannot be stabilised by its actions")
 
 
-def doubled_lqr(F: Tensor, G: Tensor, Q: Tensor, R: Tensor, *, doublings: int) -> Tensor:
+def doubled_lqr(
+    F: Squares,
+    G: Inputs,
+    Q: Float[Tensor, "*#batch n n"],
+    R: Float[Tensor, "*#batch m m"],
+    *,
+    doublings: int,
+) -> Gains:
     """Gain theta ``[*batch, m, n]`` of the first of 2^doublings steps.
 
     As ``stationary_lqr``, without a look at any number on the way: systems that cannot be
@@ -107,7 +122,7 @@ def doubled_lqr(F: Tensor, G: Tensor, Q: Tensor, R: Tensor, *, doublings: int) -
     return -torch.linalg.solve_ex(R + pull @ G, pull @ F).result
 
 
-def stationary_covariance(A: Tensor, noise: Tensor, *, tolerance: float = 1e-14) -> Tensor:
+def stationary_covariance(A: Squares, noise: Squares, *, tolerance: float = 1e-14) -> Squares:
     """Sigma = A Sigma A' + nu, ``[*batch, n, n]``, by doubling (Smith, 1968).
 
     Raises NotConverged unless every eigenvalue of A is inside the unit circle.
@@ -124,7 +139,7 @@ def stationary_covariance(A: Tensor, noise: Tensor, *, tolerance: float = 1e-14)
     raise NotConverged("no stationary covariance: the closed loop is not stable")
 
 
-def regulated_value(solution: LqrSolution, start: Belief, noise: Tensor, discount: float) -> Tensor:
+def regulated_value(solution: LqrSolution, start: Belief, noise: Squares, discount: float) -> Rows:
     """V ``[*batch]`` of a regulator from ``start`` under noise nu ``[*batch, n, n]``.
 
     -(mean'P_0 mean + tr(P_0 cov) + sum_{k=1..T} gamma^k tr(P_k nu)): exact for any distribution of

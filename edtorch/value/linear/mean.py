@@ -19,10 +19,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from edtorch.model.models import Model
 from edtorch.policy.policies import GainedPolicy
+from edtorch.shapes import ActionCost, CrossCost, Gains, Inputs, Rows, Squares, StateCost, States
 from edtorch.types import Parameters
 from edtorch.value.linear.loop import closed, linear_loop, loop_cost, priced_actions
 from edtorch.value.unroll import ValueGradient
@@ -36,7 +38,9 @@ def powers_of_two(matrix: Tensor, steps: int) -> list[Tensor]:
     return powers
 
 
-def forward_states(powers: list[Tensor], start: Tensor, steps: int) -> Tensor:
+def forward_states(
+    powers: list[Tensor], start: States, steps: int
+) -> Float[Tensor, "B n {steps+1}"]:
     """s_0..s_T of s' = A s as columns ``[B, n, T + 1]``, from start s_0 ``[B, n]``."""
     states = start.unsqueeze(-1)
     for power in powers:
@@ -48,7 +52,7 @@ def forward_states(powers: list[Tensor], start: Tensor, steps: int) -> Tensor:
     return states
 
 
-def adjoint_states(powers: list[Tensor], sources: Tensor) -> Tensor:
+def adjoint_states(powers: list[Tensor], sources: Float[Tensor, "B n T"]) -> Float[Tensor, "B n T"]:
     """lambda_1..lambda_T with lambda_tau = q_tau + A' lambda_{tau+1}, from q ``[B, n, T]``."""
     adjoints = sources
     for exponent, power in enumerate(powers):
@@ -60,16 +64,16 @@ def adjoint_states(powers: list[Tensor], sources: Tensor) -> Tensor:
 
 
 def mean_value_and_gradient(
-    drift: Tensor,
-    G: Tensor,
-    theta: Tensor,
-    start: Tensor,
+    drift: Squares,
+    G: Inputs,
+    theta: Gains,
+    start: States,
     *,
-    state_cost: Tensor,
-    action_cost: Tensor | None,
-    weights: Tensor,
-    cross: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
+    state_cost: StateCost,
+    action_cost: ActionCost | None,
+    weights: Float[Tensor, " T"],
+    cross: CrossCost | None = None,
+) -> tuple[Rows, Gains]:
     """V = -sum_tau w_tau s_tau'(Q + theta'R theta)s_tau along s' = A s, and dV/dtheta.
 
     A = I + drift + G theta; drift ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start

@@ -17,17 +17,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from edtorch.model.models import Model
 from edtorch.model.noise import Noise
 from edtorch.policy.policies import GainedPolicy
+from edtorch.shapes import ActionCost, CrossCost, Gains, Inputs, Rows, Squares, StateCost
 from edtorch.types import Belief, Parameters
 from edtorch.value.linear.loop import closed, linear_loop, loop_cost, priced_actions
 from edtorch.value.unroll import ValueGradient
 
 
-def second_moments(A: Tensor, start: Tensor, noise: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+def second_moments(
+    A: Squares, start: Squares, noise: Squares, steps: int
+) -> tuple[Float[Tensor, "{steps+1} B n n"], Float[Tensor, "{steps} B n n"]]:
     """X_0..X_T ``[T + 1, B, n, n]`` and the products A X_0..A X_{T-1} ``[T, B, n, n]``.
 
     A, start X_0 and noise nu ``[B, n, n]``.
@@ -41,17 +45,17 @@ def second_moments(A: Tensor, start: Tensor, noise: Tensor, steps: int) -> tuple
 
 
 def moment_value_and_gradient(
-    drift: Tensor,
-    G: Tensor,
-    theta: Tensor,
+    drift: Squares,
+    G: Inputs,
+    theta: Gains,
     start: Belief,
-    noise: Tensor,
+    noise: Squares,
     *,
-    state_cost: Tensor,
-    action_cost: Tensor | None,
-    weights: Tensor,
-    cross: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
+    state_cost: StateCost,
+    action_cost: ActionCost | None,
+    weights: Float[Tensor, " T"],
+    cross: CrossCost | None = None,
+) -> tuple[Rows, Gains]:
     """V = -sum_tau w_tau tr((Q + theta'R theta) X_tau) and dV/dtheta.
 
     A = I + drift + G theta; drift ``[B, n, n]``, G ``[B, n, m]``, theta ``[B, m, n]``, start: a

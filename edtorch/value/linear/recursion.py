@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from edtorch.shapes import ActionCost, Gains, Inputs, Rows, Squares, States
 from edtorch.types import Belief
 
 
@@ -66,15 +67,15 @@ def _pull(state_cost: Tensor, cost: Tensor) -> Callable[[Tensor], Tensor]:
 
 
 def mean_by_recursion(
-    drift: Tensor,
-    G: Tensor,
-    theta: Tensor,
-    start: Tensor,
+    drift: Squares,
+    G: Inputs,
+    theta: Gains,
+    start: States,
     *,
     state_cost: Tensor,
-    action_cost: Tensor | None,
+    action_cost: ActionCost | None,
     weights: Sequence[float],
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Rows, Gains]:
     """As ``edtorch.value.linear.mean_value_and_gradient``.
 
     state_cost may be the diagonal ``[n]`` of a diagonal Q, which saves products with its zeros.
@@ -104,16 +105,16 @@ def mean_by_recursion(
 
 
 def moment_by_recursion(
-    drift: Tensor,
-    G: Tensor,
-    theta: Tensor,
+    drift: Squares,
+    G: Inputs,
+    theta: Gains,
     start: Belief,
-    noise: Tensor,
+    noise: Squares,
     *,
     state_cost: Tensor,
-    action_cost: Tensor | None,
+    action_cost: ActionCost | None,
     weights: Sequence[float],
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Rows, Gains]:
     """As ``edtorch.value.linear.moment_value_and_gradient``; state_cost as in
     ``mean_by_recursion``."""
     D, G, theta, noise = _last(drift), _last(G), _last(theta), _last(noise)

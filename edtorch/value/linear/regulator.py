@@ -21,14 +21,15 @@ from edtorch.linalg import solve_positive
 from edtorch.model.models import Model
 from edtorch.policy.policies import GainedPolicy
 from edtorch.rewards import QuadraticForm, Reward, quadratic_form_of
+from edtorch.shapes import ActionCost, Gains, Inputs, Squares, StateCost
 from edtorch.types import Parameters
 from edtorch.value.linear.loop import linear_loop
 from edtorch.value.unroll import Horizon, ValueGradient
 
 
 def first_gain(
-    drift: Tensor, G: Tensor, state_cost: Tensor, action_cost: Tensor, horizon: Horizon
-) -> tuple[Tensor, Tensor]:
+    drift: Squares, G: Inputs, state_cost: StateCost, action_cost: ActionCost, horizon: Horizon
+) -> tuple[Gains, Squares]:
     """theta_0 ``[B, m, n]`` and P_0 ``[B, n, n]`` for F = I + drift ``[B, n, n]``, G ``[B, n, m]``,
     Q ``[n, n]`` positive semidefinite and R ``[m, m]`` positive definite."""
     discount = horizon.discount**horizon.unit
