@@ -52,7 +52,6 @@ RENAMED = {
     "edtorch.tick": "edtorch.run.tick",
     "edtorch.tiles": "edtorch.compiled.tiles",
     "edtorch.trail": "edtorch.run.trail",
-    "edtorch.transitions": "edtorch.run.transitions_file",
     "edtorch.trouble": "edtorch.errors",
     "edtorch.unroll": "edtorch.value.unroll",
     "edtorch.update": "edtorch.policy.steps",

@@ -14,13 +14,14 @@ from pathlib import Path
 
 import pytest
 
-from edtorch.app import evaluate, report, train
+from edtorch.app import evaluate, import_, report, train
 from edtorch.app.signals import SIGNALS
 
 MAINS = {
     "edtorch-train": train.main,
     "edtorch-eval": evaluate.main,
     "edtorch-report": report.main,
+    "edtorch-import": import_.main,
 }
 MODULES = {"edtorch-train": "edtorch.app.train", "edtorch-eval": "edtorch.app.evaluate"}
 PATIENCE = 280
