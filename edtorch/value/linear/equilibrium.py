@@ -109,7 +109,7 @@ def summed(A: Squares, cost: Squares, doublings: int) -> Squares:
     return cost
 
 
-def settled(A: Tensor, doublings: int) -> Tensor:
+def converges(A: Tensor, doublings: int) -> Tensor:
     """Whether every entry of A^(2^doublings) lies within [-1, 1], bool ``[B]``; A ``[B, n, n]``."""
     for _ in range(doublings):
         A = A @ A
@@ -187,7 +187,7 @@ class EquilibriumRegulator:
         K = doubled_lqr(F, G, Q, R, doublings=settings.doublings)
         margin = 1 + self._margin(model)[..., None, None]
         careful = doubled_lqr(margin * F, margin * G, Q, R, doublings=settings.doublings)
-        stable = settled(margin * (F + G @ careful), settings.doublings)
+        stable = converges(margin * (F + G @ careful), settings.doublings)
         K = torch.where(stable[..., None, None], careful, K)
         constant = action - matvec(K, where)
         new = LinearGain(K, constant)
