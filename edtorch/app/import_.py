@@ -119,6 +119,8 @@ def _run() -> None:
         print(f"of {found.rows} rows in {data}; dropped: {sum(found.dropped.values())}")
         for reason, count in found.dropped.items():
             print(f"  {count}: {reason}")
+        if found.broken:
+            print(f"{found.broken} rows do not end where the next row begins: episodes end there")
 
 
 def main() -> None:

@@ -18,7 +18,8 @@ class Candidates:
 
     state, next_state ``[N, n]``, action ``[N, m]``, dt ``[N]`` s, episode ``[N]``; terminated
     ``[N]``: whether the episode ends by itself in the row's next state; unusable: by reason, the
-    rows ``[N]`` that are no transitions; cut ``[N]``: rows that the next row does not continue.
+    rows ``[N]`` that are no transitions; broken ``[N]``: rows of an episode that do not end where
+    the next row begins.
     """
 
     state: np.ndarray
@@ -28,7 +29,7 @@ class Candidates:
     episode: np.ndarray
     terminated: np.ndarray
     unusable: Mapping[str, np.ndarray]
-    cut: np.ndarray
+    broken: np.ndarray
 
 
 def kept(rows: Candidates) -> tuple[Recorded, dict[str, int]]:
@@ -47,8 +48,8 @@ def kept(rows: Candidates) -> tuple[Recorded, dict[str, int]]:
         if count:
             dropped[reason] = count
         use &= ~unusable
-    # A new episode after each row that is dropped, cut or the last of its own.
-    ended = ~use | rows.cut | rows.terminated | last_rows(rows.episode)
+    # A new episode after each row that is dropped, broken or the last of its own.
+    ended = ~use | rows.broken | rows.terminated | last_rows(rows.episode)
     piece = (np.cumsum(ended) - ended)[use]
     _, episode = np.unique(piece, return_inverse=True)
     terminated = rows.terminated[use]

@@ -108,4 +108,6 @@ def matched(
 
 def matrix(get: Get, sources: Sequence[tuple[str, float]]) -> np.ndarray:
     """The components ``[N, n]`` in the domain's units."""
-    return np.stack([get(source) * factor for source, factor in sources], axis=-1)
+    return np.stack(
+        [get(source).astype(np.float64) * factor for source, factor in sources], axis=-1
+    )

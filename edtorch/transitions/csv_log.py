@@ -125,7 +125,7 @@ def from_csv(
         episode,
         terminated=np.zeros(len(states), dtype=bool),
         unusable=unusable,
-        cut=last,
+        broken=np.zeros(len(states), dtype=bool),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,22 +10,26 @@ from typing import Any
 from edtorch.run.checkpoint import FileProblem
 from edtorch.run.recorded import Recorded
 from edtorch.run.transitions_file import save_transitions
+from edtorch.transitions.arrays import opened
 from edtorch.transitions.candidates import Candidates, kept
 from edtorch.transitions.columns import FileColumn, parse_column
 from edtorch.transitions.csv_log import Clock, from_csv
+from edtorch.transitions.d4rl import from_d4rl, opened_npz
+from edtorch.transitions.minari import EPISODE, MAIN, from_minari
 from sims.base import Quantity, Spec
 
-_Reader = Callable[[Path, Spec, list[FileColumn], list[FileColumn], Clock], Candidates]
-_READERS: dict[str, _Reader] = {".csv": from_csv}
+_SUFFIXES = (".csv", ".npz", ".hdf5", ".h5")
 
 
 @dataclass(frozen=True)
 class Imported:
-    """Transitions from a foreign file; rows: how many it holds; dropped: rows by reason."""
+    """Transitions from a foreign file; rows: how many it holds; dropped: rows by reason; broken:
+    how many rows within an episode do not end where the next one begins, and so end it."""
 
     recorded: Recorded
     rows: int
     dropped: Mapping[str, int]
+    broken: int
 
 
 def _columns(given: Sequence[str | FileColumn]) -> list[FileColumn]:
@@ -48,21 +52,47 @@ def read(
     ``t[ms]``, without it each step takes ``spec.dt``; episode: the column of the episode; gap:
     seconds, a longer step is dropped.  Raises FileProblem with file and key or line.
     """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in _READERS:
-        raise FileProblem(f"{path}: expected a name that ends in one of {', '.join(_READERS)}")
-    if not path.exists():
-        raise FileProblem(f"{path}: no such file")
+    path = _file(Path(path))
     clock = Clock(parse_column(time) if isinstance(time, str) else time, episode, gap)
-    if suffix != ".csv" and clock != Clock():
-        raise FileProblem(f"{path}: time, episode and gap are of CSV files, expected none of them")
-    rows = _READERS[suffix](path, spec, _columns(state), _columns(action), clock)
+    rows = _rows(path, spec, _columns(state), _columns(action), clock)
     recorded, dropped = kept(rows)
     if not len(recorded):
         reasons = "; ".join(f"{count} rows: {reason}" for reason, count in dropped.items())
         raise FileProblem(f"{path}: no transition is left of {len(rows.dt)} rows ({reasons})")
-    return Imported(recorded, len(rows.dt), dropped)
+    return Imported(recorded, len(rows.dt), dropped, int(rows.broken.sum()))
+
+
+def _file(path: Path) -> Path:
+    """The file to read; of a Minari data set's folder its main one."""
+    if path.is_dir():
+        inside = [path / MAIN, path / "data" / MAIN]
+        found = [each for each in inside if each.is_file()]
+        if not found:
+            raise FileProblem(f"{path}: expected a folder with {MAIN}, or a file")
+        return found[0]
+    if path.suffix.lower() not in _SUFFIXES:
+        raise FileProblem(f"{path}: expected a name that ends in one of {', '.join(_SUFFIXES)}")
+    if not path.exists():
+        raise FileProblem(f"{path}: no such file")
+    return path
+
+
+def _rows(
+    path: Path, spec: Spec, state: list[FileColumn], action: list[FileColumn], clock: Clock
+) -> Candidates:
+    """The rows of a file, by its kind."""
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        return from_csv(path, spec, state, action, clock)
+    if clock != Clock():
+        raise FileProblem(f"{path}: time, episode and gap are of CSV files, expected none of them")
+    if suffix == ".npz":
+        with opened_npz(path) as content:
+            return from_d4rl(path, content, spec, state, action)
+    with opened(path) as content:
+        if any(name.startswith(EPISODE) for name in content):
+            return from_minari(path, content, spec, state, action)
+        return from_d4rl(path, content, spec, state, action)
 
 
 def check_new(path: Path) -> None:
@@ -89,5 +119,6 @@ def save_imported(
         "state": [_about(q) for q in spec.state],
         "action": [_about(q) for q in spec.action],
         "dropped": dict(imported.dropped),
+        "broken": imported.broken,
     }
     save_transitions(path, imported.recorded, spec, meta | dict(about or {}))

@@ -5,64 +5,48 @@ from __future__ import annotations
 import math
 import re
 
-_BASES: dict[str, tuple[str, float]] = {
-    "": ("", 1.0),
-    "1": ("", 1.0),
-    "%": ("", 0.01),
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", math.pi / 180),
-    "degree": ("rad", math.pi / 180),
-    "degrees": ("rad", math.pi / 180),
-    "°": ("rad", math.pi / 180),
-    "rev": ("rad", 2 * math.pi),
-    "turn": ("rad", 2 * math.pi),
-    "m": ("m", 1.0),
-    "um": ("m", 1e-6),
-    "mm": ("m", 1e-3),
-    "cm": ("m", 1e-2),
-    "km": ("m", 1e3),
-    "s": ("s", 1.0),
-    "ns": ("s", 1e-9),
-    "us": ("s", 1e-6),
-    "µs": ("s", 1e-6),
-    "ms": ("s", 1e-3),
-    "min": ("s", 60.0),
-    "h": ("s", 3600.0),
-    "g": ("kg", 1e-3),
-    "kg": ("kg", 1.0),
-    "N": ("N", 1.0),
-    "mN": ("N", 1e-3),
-    "kN": ("N", 1e3),
-    "V": ("V", 1.0),
-    "mV": ("V", 1e-3),
-    "A": ("A", 1.0),
-    "mA": ("A", 1e-3),
-    "K": ("K", 1.0),
+_DEGREE, _TURN = math.pi / 180, 2 * math.pi
+_SI = {"rad", "m", "s", "g", "N", "V", "A", "K"}
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3}
+_NAMED = {
+    **{name: ("rad", _DEGREE) for name in ("deg", "degree", "degrees", "°")},
+    **{name: ("rad", _TURN) for name in ("rev", "turn")},
+    **{"min": ("s", 60.0), "h": ("s", 3600.0), "1": ("", 1.0), "%": ("", 0.01)},
 }
-_COMPOUNDS = {"rpm": "rev/min", "Nm": "N m", "mNm": "mN m", "Hz": "1/s"}
+_COMPOUNDS = {"": "1", "rpm": "rev/min", "Nm": "N m", "mNm": "mN m", "Hz": "1/s"}
+_POWER = {"²": 2, "³": 3}
+
+
+def _base(name: str) -> tuple[str, float] | None:
+    """The unit that a name without powers is a multiple of, and the factor; None: unknown."""
+    if name in _SI:
+        return name, 1.0
+    if name in _NAMED:
+        return _NAMED[name]
+    if name[1:] in _SI and name[:1] in _PREFIXES:
+        return name[1:], _PREFIXES[name[0]]
+    return None
 
 
 def _parsed(unit: str) -> tuple[dict[str, int], float]:
-    """The exponents of the base units, and the factor to them."""
+    """The exponents of the base units, and the factor to them.  Raises ValueError."""
     exponents: dict[str, int] = {}
     factor = 1.0
-    numerator, *denominators = _COMPOUNDS.get(unit, unit).split("/")
-    for sign, term in ((1, numerator), *((-1, each) for each in denominators)):
+    for place, term in enumerate(_COMPOUNDS.get(unit, unit).split("/")):
         for part in re.split(r"[ *·]+", term.strip()):
-            match = re.fullmatch(r"(.*?)(?:\^?(-?[1-9])|([²³]))?", part)
-            name, digit, raised = match.groups() if match and part != "1" else (part, None, None)
-            if name not in _BASES:
+            match = re.fullmatch(r"(1|.+?)(?:\^?(-?[1-9])|([²³]))?", part)
+            found = None if match is None else _base(match[1])
+            if match is None or found is None:
+                known = ", ".join([*sorted(_SI), *_NAMED, *list(_COMPOUNDS)[1:]])
                 raise ValueError(
-                    f"unknown unit {unit!r}; known are {', '.join(list(_BASES)[1:])}"
-                    f", {', '.join(_COMPOUNDS)}, and products, quotients and powers"
+                    f"unknown unit {unit!r}; known are {known}, with the prefixes"
+                    f" {', '.join(_PREFIXES)}, and products, quotients and powers of them"
                 )
-            power = sign * int(digit or {"²": 2, "³": 3}.get(raised or "", 1))
-            base, scale = _BASES[name]
+            power = int(match[2] or _POWER.get(match[3], 1)) * (-1 if place else 1)
+            base, scale = found
             factor *= scale**power
-            if base:
-                exponents[base] = exponents.get(base, 0) + power
-    return {base: power for base, power in exponents.items() if power}, factor
+            exponents[base] = exponents.get(base, 0) + power
+    return {base: power for base, power in exponents.items() if base and power}, factor
 
 
 def conversion(source: str, target: str) -> float:

@@ -1,0 +1,89 @@
+"""D4RL's flat arrays, HDF5 or npz: all rows of all episodes one after the other.
+
+observations ``[N, k]``, actions ``[N, m]``, terminals and timeouts ``[N]``, and perhaps
+next_observations ``[N, k]``.
+"""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edtorch.run.checkpoint import FileProblem
+from edtorch.run.plausible import periods
+from edtorch.run.recorded import shorter_way
+from edtorch.transitions.arrays import components, flags
+from edtorch.transitions.candidates import Candidates, followed
+from edtorch.transitions.columns import FileColumn
+from sims.base import Spec
+
+
+@contextmanager
+def opened_npz(path: Path) -> Iterator[Any]:
+    """The arrays of an npz file.  Raises FileProblem where it is none."""
+    try:
+        with path.open("rb") as file:
+            content = np.load(file, allow_pickle=False)
+            if not isinstance(content, np.lib.npyio.NpzFile):
+                raise FileProblem(f"{path}: expected an .npz file of several arrays")
+            yield content
+    except FileProblem:
+        raise
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        why = " ".join(str(error).split())
+        raise FileProblem(f"{path}: cannot be read as an .npz file of arrays ({why})") from error
+
+
+def from_d4rl(
+    path: Path,
+    content: Mapping[str, Any],
+    spec: Spec,
+    state: Sequence[FileColumn],
+    action: Sequence[FileColumn],
+) -> Candidates:
+    """A transition for each row, of ``spec.dt`` seconds; without next_observations to the next row,
+    and none from the last row of an episode.  Raises FileProblem."""
+    wanted = ("observations", "actions", "terminals", "timeouts")
+    lacking = [name for name in wanted if name not in content]
+    if lacking:
+        raise FileProblem(f"{path}: lacks {', '.join(lacking)}")
+    actions = components(f"{path}: actions", content["actions"], spec.action, action)
+    rows = len(actions)
+
+    def observed(name: str) -> np.ndarray:
+        found = components(f"{path}: {name}", content[name], spec.state, state)
+        if len(found) != rows:
+            raise FileProblem(f"{path}: {name} has {len(found)} rows, expected {rows}, as actions")
+        return found
+
+    states = observed("observations")
+    terminals, timeouts = (flags(f"{path}: {name}", content[name], rows) for name in wanted[2:])
+    ends = terminals | timeouts
+    follows = followed(states)
+    if "next_observations" in content:
+        next_states, unusable = observed("next_observations"), {}
+        apart = np.abs(shorter_way(next_states - follows, periods(spec)))
+        # Rounding only: rows that do not meet would be refused as one episode.
+        broken = ~ends & (apart > 2 * np.spacing(np.abs(follows))).any(-1)
+    else:
+        next_states, broken = follows, np.zeros(rows, dtype=bool)
+        unusable = {
+            "the end of an episode: no next observation": ends,
+            "the last row: no next observation": np.arange(rows) == rows - 1,
+        }
+    return Candidates(
+        states,
+        actions,
+        next_states,
+        np.full(rows, spec.dt),
+        np.cumsum(ends) - ends,
+        terminals,
+        unusable,
+        broken,
+    )
