@@ -38,3 +38,11 @@ def test_a_class_under_its_old_name() -> None:
     products = current_target("edtorch.inverse.features.Pairwise")
     assert get_class(products).__name__ == "PairwiseProducts"
     assert current_target("numpy.array") == "numpy.array"
+
+
+def test_a_former_module_that_is_now_a_package_has_what_it_had() -> None:
+    former = importlib.import_module("edtorch.transitions")
+    present = importlib.import_module("edtorch.run.transitions_file")
+    for name in ("FORMAT", "Recorded", "Loaded", "gathered", "joined", "load_transitions"):
+        assert getattr(former, name) is getattr(present, name)
+    assert get_class(current_target("edtorch.transitions.Recorded")) is present.Recorded

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from edtorch.app.compose import compose, read_yaml
 from edtorch.app.domain import build_sim
 from edtorch.app.errors import ConfigError, guarded, refusing, unknown_key
@@ -119,6 +121,8 @@ def _run() -> None:
         print(f"of {found.rows} rows in {data}; dropped: {sum(found.dropped.values())}")
         for reason, count in found.dropped.items():
             print(f"  {count}: {reason}")
+        low, middle, high = np.quantile(found.recorded.dt, (0, 0.5, 1))
+        print(f"time steps: {low:g} to {high:g} s, median {middle:g}; the domain's: {spec.dt:g}")
         if found.broken:
             print(f"{found.broken} rows do not end where the next row begins: episodes end there")
 

@@ -15,10 +15,12 @@ from edtorch.run.transitions_file import (
     load_transitions,
     save_transitions,
 )
+from edtorch.run.transitions_meta import FORMAT
 from edtorch.transitions.columns import FileColumn, described_spec, parse_column
 from edtorch.transitions.reading import Imported, read, save_imported
 
 __all__ = [
+    "FORMAT",
     "FileColumn",
     "Imported",
     "Invalid",

@@ -6,10 +6,7 @@ next_observations ``[N, k]``.
 
 from __future__ import annotations
 
-import zipfile
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,21 +20,22 @@ from edtorch.transitions.candidates import Candidates, followed
 from edtorch.transitions.columns import FileColumn
 from sims.base import Spec
 
+_WANTED = ("observations", "actions", "terminals", "timeouts")
+_NEXT = "next_observations"
 
-@contextmanager
-def opened_npz(path: Path) -> Iterator[Any]:
-    """The arrays of an npz file.  Raises FileProblem where it is none."""
+
+def npz_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Those arrays of an npz file that are of the layout.  Raises FileProblem."""
     try:
         with path.open("rb") as file:
             content = np.load(file, allow_pickle=False)
-            if not isinstance(content, np.lib.npyio.NpzFile):
-                raise FileProblem(f"{path}: expected an .npz file of several arrays")
-            yield content
-    except FileProblem:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        why = " ".join(str(error).split())
+            if isinstance(content, np.lib.npyio.NpzFile):
+                return {name: content[name] for name in (*_WANTED, _NEXT) if name in content}
+    except Exception as error:
+        # Zip, zlib, the headers' parser and numpy each raise their own about a broken file.
+        why = " ".join(str(error).split()) or type(error).__name__
         raise FileProblem(f"{path}: cannot be read as an .npz file of arrays ({why})") from error
+    raise FileProblem(f"{path}: expected an .npz file of several arrays")
 
 
 def from_d4rl(
@@ -49,8 +47,7 @@ def from_d4rl(
 ) -> Candidates:
     """A transition for each row, of ``spec.dt`` seconds; without next_observations to the next row,
     and none from the last row of an episode.  Raises FileProblem."""
-    wanted = ("observations", "actions", "terminals", "timeouts")
-    lacking = [name for name in wanted if name not in content]
+    lacking = [name for name in _WANTED if name not in content]
     if lacking:
         raise FileProblem(f"{path}: lacks {', '.join(lacking)}")
     actions = components(f"{path}: actions", content["actions"], spec.action, action)
@@ -63,11 +60,11 @@ def from_d4rl(
         return found
 
     states = observed("observations")
-    terminals, timeouts = (flags(f"{path}: {name}", content[name], rows) for name in wanted[2:])
+    terminals, timeouts = (flags(f"{path}: {name}", content[name], rows) for name in _WANTED[2:])
     ends = terminals | timeouts
     follows = followed(states)
-    if "next_observations" in content:
-        next_states, unusable = observed("next_observations"), {}
+    if _NEXT in content:
+        next_states, unusable = observed(_NEXT), {}
         apart = np.abs(shorter_way(next_states - follows, periods(spec)))
         # Rounding only: rows that do not meet would be refused as one episode.
         broken = ~ends & (apart > 2 * np.spacing(np.abs(follows))).any(-1)

@@ -14,7 +14,7 @@ from edtorch.transitions.arrays import opened
 from edtorch.transitions.candidates import Candidates, kept
 from edtorch.transitions.columns import FileColumn, parse_column
 from edtorch.transitions.csv_log import Clock, from_csv
-from edtorch.transitions.d4rl import from_d4rl, opened_npz
+from edtorch.transitions.d4rl import from_d4rl, npz_arrays
 from edtorch.transitions.minari import EPISODE, MAIN, from_minari
 from sims.base import Quantity, Spec
 
@@ -87,8 +87,7 @@ def _rows(
     if clock != Clock():
         raise FileProblem(f"{path}: time, episode and gap are of CSV files, expected none of them")
     if suffix == ".npz":
-        with opened_npz(path) as content:
-            return from_d4rl(path, content, spec, state, action)
+        return from_d4rl(path, npz_arrays(path), spec, state, action)
     with opened(path) as content:
         if any(name.startswith(EPISODE) for name in content):
             return from_minari(path, content, spec, state, action)

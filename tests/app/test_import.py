@@ -36,6 +36,7 @@ def test_a_described_domain(command: Command, log: Path) -> None:
         "of 4 rows in log.csv; dropped: 2",
         "  1: the last line of an episode: no next state",
         "  1: a number that is not finite",
+        "time steps: 0.01 to 0.01 s, median 0.01; the domain's: 0.01",
     ]
     with np.load("out.npz") as file:
         meta = json.loads(str(file["meta"]))

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edtorch.model.fit import RecursiveLeastSquares
+from edtorch.model.fit import Fit, RecursiveLeastSquares
+from edtorch.model.fit_ridge import Ridge
 from edtorch.policy.steps import PlainStep
 from edtorch.run.checkpoint import FileProblem
 from edtorch.run.episodes import Budget
@@ -117,7 +118,8 @@ def linear_log(path: Path, spec: Spec, size: int = 300) -> tuple[np.ndarray, ...
     return stamp, state, action
 
 
-def test_a_log_teaches_the_weights_of_ridge_in_closed_form(tmp_path: Path) -> None:
+@pytest.mark.parametrize("fit", [RecursiveLeastSquares(100.0), Ridge(0.01, every=1, later=1)])
+def test_a_log_teaches_the_weights_of_ridge_in_closed_form(tmp_path: Path, fit: Fit) -> None:
     """W = (sum phi phi' + I / prior)^-1 sum phi y', y = (s' - s) / dt, as written."""
     sim, prior = LinearSystem(F, G, dt=0.01), 100.0
     stamp, state, action = linear_log(tmp_path / "log.csv", sim.spec)
@@ -128,7 +130,7 @@ def test_a_log_teaches_the_weights_of_ridge_in_closed_form(tmp_path: Path) -> No
         ["action_0=u"],
         time="t[ms]",
     )
-    learner = derivative_learner(RecursiveLeastSquares(prior), None, PlainStep(0.1))
+    learner = derivative_learner(fit, None, PlainStep(0.1))
     offline = Offline(learner, World(sim), found.recorded, [0], Lessons("all"), Budget(seconds=1e9))
     for _ in offline.learn(0, 64):
         pass
