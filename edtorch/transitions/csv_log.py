@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from edtorch.run.checkpoint import FileProblem
+from edtorch.run.plausible import FACTOR
 from edtorch.run.recorded import first_rows, last_rows
 from edtorch.transitions.candidates import Candidates, followed
 from edtorch.transitions.columns import FileColumn, matched, matrix
@@ -45,7 +46,7 @@ class _Table:
                 first = file.readline()
                 file.seek(0)
                 separator = max(",;\t", key=first.count)
-                reader = csv.reader(file, delimiter=separator, strict=True)
+                reader = csv.reader(file, delimiter=separator, skipinitialspace=True, strict=True)
                 self.names = [name.strip() for name in next(reader, [])]
                 self.line: list[int] = []
                 self._cells: list[list[str]] = []
@@ -79,7 +80,8 @@ class _Table:
         found = np.full(len(self.line), np.nan)
         for row, cell in enumerate(self.text(name)):
             try:
-                found[row] = float(cell) if cell else np.nan
+                # Python's own "1_000" is no number of anybody's log.
+                found[row] = float(cell.replace("_", "?")) if cell else np.nan
             except ValueError as error:
                 raise FileProblem(
                     f"{self._path}: line {self.line[row]}: {name} is {cell!r}, expected a number"
@@ -111,6 +113,11 @@ def from_csv(
     if clock.time is not None:
         dt = _steps(path, table, clock.time, first_rows(episode), last)
         usual = math.inf if last.all() else float(np.median(dt[~last]))
+        if not last.all() and not spec.dt / FACTOR < usual < spec.dt * FACTOR:
+            raise FileProblem(
+                f"{path}: time: the median step is {usual:g} s, expected less than {FACTOR:g} times"
+                f" more or less than the domain's {spec.dt:g}; the stamps' unit is given as t[ms]"
+            )
         gap = GAP * usual if clock.gap is None else clock.gap
         if not gap > 0:
             raise FileProblem(f"{path}: gap={gap}: expected a number of seconds > 0")

@@ -56,7 +56,8 @@ def test_columns_from_a_file_and_a_configured_domain(command: Command, log: Path
     )
     found = command(
         "edtorch-import", "log.csv", "out.npz", "domain=linear", "--columns=columns.yaml",
-        "domain.state_matrix=[[1,0],[0,1]]", "domain.action_matrix=[[0],[1]]", "--time=t[s]",
+        "domain.state_matrix=[[1,0],[0,1]]", "domain.action_matrix=[[0],[1]]", "domain.dt=5",
+        "--time=t[s]",
     )  # fmt: skip
     assert found.status == 0, found.err
     with np.load("out.npz") as file:

@@ -88,7 +88,9 @@ def test_rows_are_dropped_for_a_reason_and_what_is_written_is_read(tmp_path: Pat
         (["0,1,1,1"], {"action": ["torque=u[furlong]"]}, "action: torque: unknown unit 'furlong'"),
         (["0,1,1,1"], {"action": ["torque=u[N]"]}, "action: torque: cannot convert 'N' to 'N m'"),
         (["0,1,1,1"], {"time": "t[m]"}, "time t: cannot convert 'm' to 's'"),
-        (["0,1,1,1", "1,1,1,1"], {"gap": -1.0}, "gap=-1.0: expected a number of seconds > 0"),
+        (["0,1,1,1", "9,1_0,1,1"], {}, "line 3: theta is '1_0', expected a number"),
+        (["0,1,1,1", "9,1,1,1"], {"time": "t"}, "time: the median step is 9 s, expected less than"),
+        (["0,1,1,1", "9,1,1,1"], {"gap": -1.0}, "gap=-1.0: expected a number of seconds > 0"),
         (["0,1,1,1", "1,1,1,2", "2,1,1,1"], {"episode": "u"}, "line 4: episode '1' goes on"),
     ],
 )
