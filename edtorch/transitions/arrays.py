@@ -79,6 +79,9 @@ def components(
     One that names no column is at its own place, if there are as many columns as components.
     """
     known = _by_name(where, node)
+    lengths = {name: len(column) for name, column in known.items()}
+    if len(set(lengths.values())) > 1:
+        raise FileProblem(f"{where}: has columns of lengths {lengths}, expected one length")
 
     def get(name: str) -> np.ndarray:
         if name not in known:

@@ -102,6 +102,10 @@ def matched(
                 factor = conversion(column.source_unit, q.unit)
         except ValueError as error:
             raise FileProblem(f"{where}: {q.name}: {error}") from error
+        if any(source == other for other, _ in found):
+            raise FileProblem(
+                f"{where}: {q.name}: column {source!r} is another component's already"
+            )
         found.append((source, factor))
     return found
 

@@ -139,6 +139,11 @@ def test_components_by_column_and_by_key_of_a_dict(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.state, want, rtol=1e-6)
     with pytest.raises(FileProblem, match=r"observations: x has no column: expected .* pose/0"):
         read(path, CART)
+    with h5py.File(path / "data" / "main_data.hdf5", "r+") as file:
+        del file["episode_3/observations/speed"]
+        file["episode_3/observations/speed"] = np.zeros(2)
+    with pytest.raises(FileProblem, match=r"episode_3/observations: has columns of lengths"):
+        read(path, CART, state=["x=pose/1[mm]", "v=speed/0"])
 
 
 def _without(name: str) -> Callable[[Arrays], Any]:

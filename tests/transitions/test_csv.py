@@ -84,6 +84,7 @@ def test_rows_are_dropped_for_a_reason_and_what_is_written_is_read(tmp_path: Pat
         ([], {}, "expected a header and at least one line"),
         (["0,1,1,1"], {}, "no transition is left of 1 rows"),
         (["0,1,1,1"], {"action": ["torque=tau"]}, "column 'tau' is not in the header"),
+        (["0,1,1,1"], {"state": ["angle=u", "rate=u"]}, "state: rate: column 'u' is another comp"),
         (["0,1,1,1"], {"action": ["force=u"]}, "action: 'force' is no component of the domain"),
         (["0,1,1,1"], {"action": ["torque=u[furlong]"]}, "action: torque: unknown unit 'furlong'"),
         (["0,1,1,1"], {"action": ["torque=u[N]"]}, "action: torque: cannot convert 'N' to 'N m'"),
