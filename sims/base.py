@@ -7,7 +7,7 @@ episode in any batch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
@@ -141,6 +141,13 @@ class Spec:
     success_return: float | None = None
 
 
+def are_names(names: Sequence[object]) -> bool:
+    """Whether these can name components: different texts that are not empty, without dots, which
+    part the levels of keys such as ``reward.state.NAME``."""
+    texts = all(isinstance(name, str) and name and "." not in name for name in names)
+    return texts and len(set(names)) == len(names)
+
+
 def spec_index(spec: Spec, names: Iterable[str]) -> list[int]:
     """Where in the observation the components called ``names`` are, in the order of ``names``.
 
@@ -156,6 +163,16 @@ def spec_index(spec: Spec, names: Iterable[str]) -> list[int]:
                 f" {', '.join(known)}"
             )
     return [known.index(name) for name in chosen]
+
+
+def expect_action(state: Tensor, action: Tensor, size: int) -> None:
+    """ValueError unless ``action`` is ``[*batch, size]`` for states ``[*batch, k]``: another shape
+    may broadcast, and then moves every row alike."""
+    if action.shape != (*state.shape[:-1], size):
+        raise ValueError(
+            f"action: has shape {tuple(action.shape)}, expected {(*state.shape[:-1], size)} for"
+            f" states of shape {tuple(state.shape)}"
+        )
 
 
 class Sim(Protocol):

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sims.angle_hint import AngleHint
 from sims.angle_view import Angles, AngleView, angle_view, with_rates
-from sims.base import Outcome, Quantity, SimulatorFailed, Spec
+from sims.base import Outcome, Quantity, SimulatorFailed, Spec, are_names, expect_action
 from sims.gymnasium_source import (
     Env,
     Factory,
@@ -36,6 +36,7 @@ logger = logging.getLogger("edtorch")
 _TERMINATED, _TRUNCATED, _SUCCESS, _LOST, _RETURN = -5, -4, -3, -2, -1
 _UNSTATED_LIMIT = 1000
 """Steps of an episode where the environment states no limit."""
+_FOUR_VALUES = "not enough values to unpack (expected 5, got 4)"
 _HOPELESS = 10
 """Episodes lost at their first step, and none other before, after which the environment is
 refused."""
@@ -224,6 +225,7 @@ class GymnasiumSim:
 
     def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
         """The state one step later; action ``[*batch, m]``; uniforms ``[*batch, 0]``."""
+        expect_action(state, action, self._box.shape[0])
         rows = self._rows(state)
         actions = action.detach().cpu().reshape(len(rows), -1).numpy()
         for k, row in enumerate(rows):
@@ -288,10 +290,15 @@ class GymnasiumSim:
 
     def _reset(self, k: int, uniform: Tensor) -> Tensor:
         try:
-            observation, _ = self._envs[k].reset(seed=self.env_seed(float(uniform)))
-            read = self._checked(observation)
+            started = self._envs[k].reset(seed=self.env_seed(float(uniform)))
+            if not (isinstance(started, tuple) and len(started) == 2):
+                raise ValueError(f"it gave {type(started).__name__}, expected (observation, info)")
+            read = self._checked(started[0])
         except Exception as error:
-            raise SimulatorFailed(f"{self._source.name}: reset failed: {_why(error)}") from error
+            why = _why(error)
+            if isinstance(error, TypeError) and "unexpected keyword argument 'seed'" in why:
+                why = f"it takes no seed, expected reset(self, *, seed=None, options=None) ({why})"
+            raise SimulatorFailed(f"{self._source.name}: reset failed: {why}") from error
         row = torch.zeros(self._size + 5, dtype=uniform.dtype)
         row[:_TERMINATED], row[_SUCCESS] = read, -1.0
         return row
@@ -313,6 +320,12 @@ class GymnasiumSim:
 
     def _lose(self, row: Tensor, error: Exception) -> None:
         row[_LOST] = 1.0
+        if not self._has_stepped and _FOUR_VALUES in str(error):
+            # Raised where a wrapper unpacks them, too; no other episode would go better.
+            raise SimulatorFailed(
+                f"{self._source.name}: step gave four values, as Gym did before 0.26; expected"
+                " (observation, reward, terminated, truncated, info)"
+            ) from error
         if not self._has_lost:
             logger.warning("%s: an episode is lost: %s", self._source.name, _why(error))
         self._has_lost = True
@@ -352,7 +365,7 @@ def _why(error: Exception) -> str:
 
 
 def _finite_reward(reward: Any) -> float:
-    value = float(reward)
+    value = float(np.asarray(reward).item())
     if not math.isfinite(value):
         raise ValueError(f"a reward of {value}")
     return value
@@ -361,9 +374,10 @@ def _finite_reward(reward: Any) -> float:
 def _named(which: str, box: spaces.Box, names: Sequence[str] | None) -> tuple[Quantity, ...]:
     (size,) = box.shape
     names = [f"{which}_{k}" for k in range(size)] if names is None else list(names)
-    if len(names) != size or len(set(names)) < size or not all(isinstance(n, str) for n in names):
+    if len(names) != size or not are_names(names):
         raise ValueError(
-            f"{which}_names={names}: expected {size} different ones, one for each component"
+            f"{which}_names={names}: expected {size} different ones without dots, one for each"
+            " component"
         )
     return tuple(
         Quantity(name, "1", low=low, high=high)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from sims.base import Measure, Outcome, Quantity, Spec
+from sims.base import Measure, Outcome, Quantity, Spec, expect_action
 
 
 class LinearSystem:
@@ -82,6 +82,7 @@ class LinearSystem:
 
     def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
         """The state ``[*batch, n]`` a step later; uniforms ``[*batch, 2 n]`` make the noise."""
+        expect_action(state, action, self._G.shape[-1])
         # Box and Muller (1958); 1 - u keeps the logarithm finite.
         radius, angle = uniforms.chunk(2, dim=-1)
         normal = (-2 * torch.log1p(-radius)).sqrt() * (2 * math.pi * angle).cos()

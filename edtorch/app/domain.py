@@ -12,7 +12,7 @@ from edtorch.app.settings import Settings
 from edtorch.report.domain import Domain, ReturnOf, domain_of
 from edtorch.run.episodes import Episode
 from edtorch.run.scaled_sim import World
-from sims.base import Rewarded, Sim
+from sims.base import Rewarded, Sim, are_names
 
 METHODS = ("initial", "restart", "step", "observe", "outcome", "measures")
 """Of a ``Sim``."""
@@ -21,7 +21,7 @@ METHODS = ("initial", "restart", "step", "observe", "outcome", "measures")
 def build_sim(config: Any, key: str = "domain") -> Sim:
     """The domain; key: of the settings, for messages."""
     if not is_given(config):
-        return construct(key, config, *METHODS)
+        return _with_names(construct(key, config, *METHODS), key)
     sim = given_part("domain", config)
     lacking = [name for name in ("spec", *METHODS) if not hasattr(sim, name)]
     if lacking:
@@ -29,6 +29,17 @@ def build_sim(config: Any, key: str = "domain") -> Sim:
             f"env: {type(sim).__name__} lacks {', '.join(lacking)}; expected a simulator"
             " (sims.base.Sim), or an environment of Gymnasium"
         )
+    return _with_names(sim, "env")
+
+
+def _with_names(sim: Sim, key: str) -> Sim:
+    for which, quantities in (("state", sim.spec.state), ("action", sim.spec.action)):
+        names = [quantity.name for quantity in quantities]
+        if not are_names(names):
+            raise ConfigError(
+                f"{key}: the components of the {which} of {sim.spec.name} are called {names};"
+                " expected different names without dots"
+            )
     return sim
 
 

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from sims.angles import atan2
-from sims.base import Measure, Outcome, Quantity, Spec, Words
+from sims.base import Measure, Outcome, Quantity, Spec, Words, expect_action
 from sims.bicycle.life import CHANGING, DRAWN, changed, factors, multiplied
 from sims.bicycle.optimum import shortest_length, steady_handlebar
 from sims.bicycle.physics import (
@@ -396,6 +396,7 @@ class Bicycle:
     def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
         """The state ``dt`` later; action ``[*batch, 2]`` in N m and m; uniforms ``[*batch,
         disturbance_dim]``."""
+        expect_action(state, action, len(_ACTION_BOUND))
         disturbance = uniforms[..., 0] * (2 * self.noise) - self.noise
         if not self._places:
             return step(

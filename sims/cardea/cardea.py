@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sims.base import Measure, Outcome, Quantity, Spec, Words
+from sims.base import Measure, Outcome, Quantity, Spec, Words, expect_action
 from sims.cardea.arm import HIGH, LOW, slant, wrist
 from sims.cardea.physics import JOINTS, URDF, Robot, StepArguments, pybullet, robot, step_rows
 from sims.cardea.poses import STOPS, check_start, draw_goal, draw_start, goal_angles
@@ -220,6 +220,7 @@ class Cardea:
 
     def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
         """The state ``dt`` later; action ``[*batch, 5]`` in N m; uniforms ``[*batch, 5]``."""
+        expect_action(state, action, len(LIMITS))
         # The least uniform number, 0, would be noise without bound.
         noise = torch.special.ndtri(uniforms.clamp(min=2.0**-54)) * self._noise
         torque = torch.clamp(action + noise, -_LIMITS, _LIMITS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sims.base import Outcome, Quantity, Spec
+from sims.base import Outcome, Quantity, Spec, expect_action
 from sims.tasks.integrate import runge_kutta
 
 GRAVITY = 9.82
@@ -62,6 +62,7 @@ class CartPole:
 
     def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
         """Two steps of Runge and Kutta's method."""
+        expect_action(state, action, 1)
         force = action[..., 0] + self.push
         return runge_kutta(lambda s: _derivative(s, force), state, self.spec.dt, 2)
 

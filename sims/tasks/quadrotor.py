@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from sims.base import Outcome, Quantity, Spec
+from sims.base import Outcome, Quantity, Spec, expect_action
 from sims.tasks.integrate import runge_kutta
 
 GRAVITY = 9.81
@@ -79,6 +79,7 @@ class Quadrotor:
 
     def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
         """Two steps of Runge and Kutta's method."""
+        expect_action(state, action, 4)
         return runge_kutta(lambda s: _derivative(s, action), state, self.spec.dt, 2)
 
     def observe(self, state: Tensor) -> Tensor:

@@ -83,7 +83,7 @@ def test_a_world_with_bounds_that_are_none_gives_the_digits_of_one_without(
     infinite = {"dtype": huge.get("dtype", np.float64)} | infinite
     found = []
     for arguments in (huge, infinite):
-        options = {"dt": 0.1, "seconds": 4, "time_limit": 2}
+        options = {"dt": 0.1, "seconds": 2, "time_limit": 1}
         run = edtorch.learn(_of(**arguments), **options, overrides=["eval.episodes=2"])
         said = capsys.readouterr().err
         line = "Bounded: the bounds of state_0, state_1 count as none: they are at least 1e30"
@@ -176,3 +176,16 @@ def test_registered_environments_can_be_pickled_in_mid_episode(name: str) -> Non
         action = env.action_space.sample()
         ours, theirs = env.step(action), copy.step(action)
         assert ours[0].tolist() == theirs[0].tolist() and ours[1:4] == theirs[1:4]
+
+
+@pytest.mark.oracle
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_registered_environments_run_in_processes() -> None:
+    def make() -> gymnasium.Env[Any, Any]:
+        return gymnasium.make("sims:edtorch/Bicycle-v0")
+
+    envs = gymnasium.vector.AsyncVectorEnv([make, make], context="fork")
+    observations, _ = envs.reset(seed=[3, 4])
+    envs.close()
+    alone = [make().reset(seed=seed)[0].tolist() for seed in (3, 4)]
+    assert observations.tolist() == alone
