@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -10,6 +12,8 @@ import numpy as np
 import pytest
 import torch
 
+from edtorch.run.checkpoint import FileProblem
+from edtorch.run.transitions_meta import read_meta
 from sims.base import Sim, SimulatorFailed
 from sims.bicycle import Bicycle
 from sims.cardea import Cardea
@@ -121,3 +125,20 @@ def test_a_reward_may_be_an_array_of_one_number() -> None:
 
 def test_the_module_to_import_is_no_part_of_the_name() -> None:
     assert GymnasiumSim("sims:edtorch/Bicycle-v0").spec.name == "edtorch/Bicycle-v0"
+
+
+def test_a_file_with_the_module_in_the_name_of_its_domain_is_of_that_domain() -> None:
+    spec = LinearSystem([[1, 0.02], [0, 1]], [[0], [0.06]], dt=0.01, time_limit=1).spec
+    content = {
+        "format": 1,
+        "domain": f"my.module:{spec.name}",
+        "units": "physical",
+        "state": [{"name": q.name, "unit": q.unit} for q in spec.state],
+        "action": [{"name": q.name, "unit": q.unit} for q in spec.action],
+        "seeds": [{"seed": 0, "episodes": [0, 1]}],
+    }
+    layout = read_meta(Path("transitions.npz"), np.array(json.dumps(content)), spec)
+    assert layout.state == [0, 1]
+    content["domain"] = "another"
+    with pytest.raises(FileProblem, match=r"meta\.domain="):
+        read_meta(Path("transitions.npz"), np.array(json.dumps(content)), spec)
