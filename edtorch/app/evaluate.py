@@ -62,6 +62,19 @@ def _table(
     return table
 
 
+def _print_whole(console: Console, table: Table) -> None:
+    """Print the table with no word or figure cut: a terminal that is too narrow gets columns as
+    wide as their longest words, and if need be lines that are longer than it is wide."""
+    unlimited = console.options.update_width(sys.maxsize)
+    if console.measure(table, options=unlimited).maximum > console.width:
+        for column in table.columns:
+            texts = (str(column.header), *map(str, column.cells))
+            column.width = max(len(word) for text in texts for word in text.split())
+        needed = console.measure(table, options=unlimited).maximum
+        console.width = max(console.width, needed)
+    console.print(table)
+
+
 def _baselines(config: Settings, world: World, domain: Domain, seeds: list[int]) -> dict[str, Any]:
     """The figures of the sim's own controllers, by name, in the episodes of the first seed."""
     if not (config.baselines or config.yardsticks):
@@ -142,7 +155,7 @@ def _evaluate(config: Settings) -> float:
             f"run={folder}: expected a folder to write to ({error.strerror})"
         ) from error
     console = Console()
-    console.print(_table(figures, baselines, domain, seeds))
+    _print_whole(console, _table(figures, baselines, domain, seeds))
     console.print(f"written to {written}", soft_wrap=True)
     headline = next(figures[key]["median"] for key in HEADLINE if key in figures)
     return math.nan if headline is None else float(headline)
