@@ -152,6 +152,9 @@ def test_predictions_are_within_bounds_and_rows_are_alike(run: Run) -> None:
         (np.zeros(3), "expected 2 numbers"),
         (np.zeros((1, 1, 2)), r"expected \[n\] or \[k, n\]"),
         ([0.0, float("nan")], "expected finite numbers"),
+        ("still", "observation='still': expected numbers"),
+        ({"angle": 0.0}, "expected numbers"),
+        ([[0.0, 1.0], [2.0]], "expected numbers"),
     ],
 )
 def test_observations_that_are_refused(run: Run, observation: Any, message: str) -> None:
@@ -168,8 +171,9 @@ def test_figures_and_episodes(run: Run) -> None:
     ended = [e for e in run.episodes if e["outcome"] == Outcome.FAILED.name.lower()]
     assert all(e["success"] is False for e in ended)
     assert run.plot().axes
-    with pytest.raises(ValueError, match="episodes=0"):
-        run.evaluate(0)
+    for episodes in (0, 1.5):
+        with pytest.raises(ValueError, match=f"episodes={episodes}: expected an integer"):
+            run.evaluate(episodes)  # pyright: ignore[reportArgumentType]
 
 
 def test_the_policy_is_the_best_in_other_episodes_than_those_reported(run: Run) -> None:

@@ -56,9 +56,12 @@ class LearnedPolicy:
 
     def predict(self, observation: ArrayLike) -> NDArray[Any]:
         """The action ``[m]`` for an observation ``[n]``, or actions ``[k, m]`` for ``[k, n]``, of k
-        episodes side by side.  Raises ValueError for other shapes, and for numbers that are not
-        finite."""
-        given = torch.as_tensor(np.asarray(observation, dtype=np.float64))
+        episodes side by side.  Raises ValueError for other shapes, and for what is not a finite
+        number."""
+        try:
+            given = torch.as_tensor(np.asarray(observation, dtype=np.float64))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"observation={observation!r}: expected numbers") from error
         if given.ndim not in (1, 2):
             raise ValueError(f"observation: has shape {tuple(given.shape)}, expected [n] or [k, n]")
         if not bool(given.isfinite().all()):

@@ -9,6 +9,7 @@ import shutil
 import statistics
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -96,7 +97,7 @@ class Run:
         measures as means over the episodes, ``success_rate`` and ``failure_rate``; None where there
         is none.  The same episodes again at every call, and the first of more are those of fewer.
         """
-        if episodes < 1:
+        if not isinstance(episodes, Integral) or episodes < 1:
             raise ValueError(f"episodes={episodes}: expected an integer >= 1")
         return figures(self._fresh(episodes, Purpose.EVALUATION))
 
