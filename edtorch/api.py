@@ -118,6 +118,10 @@ def learn(
     console = Console(quiet=not progress)
     own = reward is not None or policy is not None
     with _refusing():
+        if env is None and preset == "regulation" and not _names_domain(overrides):
+            raise ConfigError(
+                "env=None: expected an environment, which preset=regulation does not name"
+            )
         check_kinds(dict(target=target, weights=weights, overrides=overrides) | world.kinds())
         config = compose(
             [
@@ -240,6 +244,10 @@ def _messages(progress: bool) -> Iterator[None]:
         logger.removeHandler(handler)
         logger.setLevel(before[0])
         logger.propagate = before[1]
+
+
+def _names_domain(overrides: Sequence[str]) -> bool:
+    return any(each.lstrip("+").startswith("domain") for each in overrides)
 
 
 def _first_line(work: Work, preset: str, seconds: float | None, episodes: int | None) -> str:

@@ -40,6 +40,7 @@ def main(seconds: float = 8.0) -> dict[str, list[float | None]]:
         target={"angle": 0.0},
         dt=0.02,
         time_limit=4.0,
+        termination="failure",
         seconds=seconds,
     )
     observation, _ = Balance().reset(seed=0)

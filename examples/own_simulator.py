@@ -23,6 +23,7 @@ SPEC = Spec(
     reset_dim=2,
     clip_action=True,
     headline="angle",
+    survival=True,  # to last until the time limit is a success
 )
 
 

@@ -277,7 +277,10 @@ class Robot:
 def _parse(path: Path | str) -> Element:
     """The root element.  ElementTree's own parser would refuse undeclared prefixes, which
     simulators' elements have, and multi-byte encodings."""
-    data = Path(path).read_bytes().lstrip()
+    try:
+        data = Path(path).read_bytes().lstrip()
+    except OSError as error:
+        raise ValueError(f"{path}: expected a URDF file ({error.strerror})") from error
     builder, parser = TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end

@@ -352,3 +352,13 @@ def test_a_unbounded_action_with_a_scale_learns() -> None:
 
 def test_what_states_its_step() -> None:
     assert GymnasiumSim("Pendulum-v1").spec.dt == 0.05
+
+
+def test_without_an_environment_the_preset_must_name_one() -> None:
+    with pytest.raises(ValueError, match="env=None: expected an environment, which preset=regul"):
+        edtorch.learn(None, seconds=2)
+
+
+def test_a_budget_below_a_tick_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"seconds=0\.001: expected at least one tick"):
+        edtorch.learn(preset="bicycle", seconds=0.001)

@@ -30,3 +30,11 @@ def build_budget(config: Any) -> Budget:
             " one of them"
         )
     return budget
+
+
+def check_ticks(budget: Budget, dt: float) -> None:
+    """Refuse a budget that ends before the first tick, of ``dt`` seconds.  Raises ConfigError."""
+    if budget.seconds is not None and budget.seconds < dt * (1 - 1e-9):
+        raise ConfigError(
+            f"train.seconds={budget.seconds:g}: expected at least one tick of the domain, {dt:g} s"
+        )

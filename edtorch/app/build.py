@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from edtorch.app.budget import build_budget
+from edtorch.app.budget import build_budget, check_ticks
 from edtorch.app.checks import at_least, check_numbers, check_seeds, positive
 from edtorch.app.compute import (
     Compute,
@@ -81,6 +81,7 @@ def build(config: Settings, budget: Budget | None = None) -> Setup:
             " train.seconds, train.episodes or train.successes"
         )
     sim = build_sim(config.domain)
+    check_ticks(budget, sim.spec.dt)
     if config.log.transitions:
         check_recording(budget, World(sim), config.seeds)
     if has_inverse(config):

@@ -99,7 +99,10 @@ class Run:
         """
         if not isinstance(episodes, Integral) or episodes < 1:
             raise ValueError(f"episodes={episodes}: expected an integer >= 1")
-        return figures(self._fresh(episodes, Purpose.EVALUATION))
+        fresh, spec = self._fresh(episodes, Purpose.EVALUATION), self._world().spec
+        seen = [*self._records, *(e for own in fresh for e in own)]
+        told = any(e.outcome is Outcome.FAILED or e.success is not None for e in seen)
+        return figures(fresh, can_fail=bool(spec.survival or spec.can_fail) or told)
 
     def env_seeds(self, episodes: int) -> list[list[int]]:
         """For a Gymnasium environment, the seeds that ``evaluate`` resets it with, by learner: with
@@ -178,15 +181,18 @@ def new_folder(path: Path) -> Path:
     raise ValueError(f"folder={path}: expected a new or empty folder")
 
 
-def figures(evaluated: Sequence[Sequence[Episode]]) -> dict[str, list[float | None]]:
-    """See ``Run.evaluate``."""
+def figures(
+    evaluated: Sequence[Sequence[Episode]], *, can_fail: bool
+) -> dict[str, list[float | None]]:
+    """See ``Run.evaluate``; can_fail: whether an episode can fail, as far as is known."""
     names = dict.fromkeys(n for own in evaluated for e in own for n in e.measures)
     names.pop("return", None)
     return {
         "return": [_mean([e.total_reward for e in own]) for own in evaluated],
         "success_rate": [_mean([_known(e.success) for e in own]) for own in evaluated],
         "failure_rate": [
-            _mean([float(e.outcome is Outcome.FAILED) for e in own]) for own in evaluated
+            _mean([float(e.outcome is Outcome.FAILED) for e in own]) if can_fail else None
+            for own in evaluated
         ],
         "episode_seconds": [_mean([e.seconds for e in own]) for own in evaluated],
         **{name: [_mean([e.measures[name] for e in own]) for own in evaluated] for name in names},

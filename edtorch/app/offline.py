@@ -96,6 +96,9 @@ def _paths(data: Any) -> list[Path]:
             " or a list of them"
         )
     paths = [Path(each) for each in given]
+    for path in paths:
+        if not path.exists():
+            raise ConfigError(f"offline.data={path}: no such file or folder")
     return [path / TRANSITIONS if path.is_dir() else path for path in paths]
 
 

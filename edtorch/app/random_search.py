@@ -69,7 +69,9 @@ def build_search(config: Settings) -> SearchSetup:
     check_seeds(config)
     at_least("compute.threads", config.compute.threads, 1)
     if config.seeds != 1:
-        raise ConfigError(f"seeds={config.seeds}: expected 1 with a rival; vary seed in a sweep")
+        raise ConfigError(
+            f"seeds={config.seeds}: expected 1 with rival=random_search; vary seed in a sweep"
+        )
     check_choices(config.compute)
     settings = construct("rival", config.rival)
     processes = settings.processes

@@ -5,6 +5,7 @@ Random search, which counts policies, is in ``edtorch.app.random_search``.
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ from typing import Any
 import torch
 from rich.table import Table
 
-from edtorch.app.budget import build_budget
+from edtorch.app.budget import build_budget, check_ticks
 from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compute import check_choices
 from edtorch.app.construct import construct
@@ -42,6 +43,8 @@ from edtorch.run.milestones import MILESTONES, Checkpoint, FirstSuccess
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
 from sims.base import Sim, Spec, Words
+
+logger = logging.getLogger("edtorch")
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,7 @@ def build_rival(config: Settings) -> RivalSetup:
     budget = build_budget(config.train)
     dtype = rival_dtype(config.compute)
     sim = build_sim(config.domain)
+    check_ticks(budget, sim.spec.dt)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     reward, threshold = build_plain_reward(config.reward, sim, dtype), config.eval.success_return
 
@@ -237,6 +241,7 @@ class Rivals(Work):
             ]
             rows = [row for row, on in enumerate(going) if on]
             if not rows:
+                self._warn_of_excess()
                 return
             began = time.process_time()
             search.advance(going, job.pause)
@@ -248,6 +253,16 @@ class Rivals(Work):
                 fresh = trials.run(rows, self._paid)
             job.take(self._entry(fresh, count))
             job.pause()
+
+    def _warn_of_excess(self) -> None:
+        """A rival's piece, such as all the episodes of a batch method, is not divided."""
+        most = self._setup.budget.seconds
+        if most is not None and self.seconds > 1.01 * most:
+            logger.warning(
+                "train.seconds=%g: up to %.6g s were used; the pieces in which %s learns are not"
+                " divided",
+                *(most, self.seconds, self._setup.name),
+            )
 
     def _paid(self, row: int) -> Paid:
         account = self._search.accounts[row]

@@ -21,7 +21,8 @@ class Snapshots:
     by simulated seconds, their median over the learners, and extremes where they tell.
 
     can_fail, can_succeed: whether the domain declares it; otherwise the line counts failures and
-    successes from the first one on, and without either the episodes.
+    successes from the first failure on, before which a time-out may be either, and without either
+    the episodes.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class Snapshots:
         told = [
             f"{name} {_spread(counts)}"
             for (name, counts), declared in zip(counted, self._declared, strict=True)
-            if declared or any(counts)
+            if declared or (any(counts) and any(snapshot.failures))
         ]
         return "  ".join(told) or f"episodes {_spread(snapshot.episodes)}"
 

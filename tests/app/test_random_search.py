@@ -117,7 +117,7 @@ REFUSED = [
     (["+rival.foo=3"], r"rival\.foo=3: unknown key"),
     (["rival._target_=edtorch.policy.steps.PlainStep"], r"rival"),
     (["rival=foo"], r"rival=foo: expected one of .*none, .*random_search"),
-    (["seeds=2"], r"seeds=2: expected 1 with a rival"),
+    (["seeds=2"], r"seeds=2: expected 1 with rival=random_search"),
     (["compute.compile=perhaps"], r"compute\.compile=perhaps: expected one of auto, on, off"),
     (["+domain.state_scale.lena=1"], r"domain\.state_scale='lena'.*expected names of"),
 ]

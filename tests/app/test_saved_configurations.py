@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from edtorch.app.errors import FileProblem
+from edtorch.app.errors import ConfigError
 from edtorch.app.rundir import CONFIG, load_config
 from edtorch.app.work import planned
 
@@ -24,7 +24,7 @@ def test_every_saved_configuration_builds(monkeypatch: pytest.MonkeyPatch) -> No
     for folder in folders:
         try:
             seeds, _ = planned(load_config(folder))
-        except FileProblem as error:
+        except ConfigError as error:
             refused[folder.relative_to(REFERENCE).as_posix()] = str(error)
         else:
             assert seeds, folder

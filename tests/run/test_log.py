@@ -137,7 +137,9 @@ def test_console_elsewhere_is_whole_plain_lines() -> None:
     [
         ([0, 0], [0, 0], r"episodes 2 \[1, 3\]"),
         ([2, 1], [0, 0], r"failures 1\.5 \[1, 2\]"),
-        ([0, 0], [1, 0], r"successes 0\.5 \[0, 1\]"),
+        ([1, 0], [1, 0], r"failures 0\.5 \[0, 1\]  successes 0\.5 \[0, 1\]"),
+        # Time-outs, of which nothing is known yet.
+        ([0, 0], [1, 0], r"episodes 2 \[1, 3\]"),
     ],
 )
 def test_console_counts_what_the_domain_does_not_declare_once_there_is_some(
