@@ -292,9 +292,18 @@ class Rivals(Work):
             rows=rows,
             scalars={f"rival/{name}": float(value) for name, value in figures.items()},
             step=count,
-            line=f"{seconds:8.0f} s  {words.failures} {failures:.0f}"
-            f"  stable {stable}/{len(fresh)}  to the goal {goal}/{len(fresh)}",
+            line=f"{seconds:8.0f} s  {self._counts(fresh, failures, stable, goal)}",
         )
+
+    def _counts(self, fresh: dict[int, Checkpoint], failures: float, stable: int, goal: int) -> str:
+        """What applies to the domain, as far as it declares that or has shown it."""
+        domain, told = self._domain, []
+        if domain.can_fail or failures:
+            told += [f"{domain.words.failures} {failures:.0f}", f"stable {stable}/{len(fresh)}"]
+        if domain.has_goal:
+            told.append(f"to the goal {goal}/{len(fresh)}")
+        episodes = median_known([float(c.episodes) for c in fresh.values()])
+        return "  ".join(told) or f"episodes {episodes:.0f}"
 
     def evaluate(self, job: Job) -> None:
         """All fresh episodes of the last policies."""

@@ -165,7 +165,7 @@ def _settings(
             # Where the class was typed, the settings of the option's own class do not count.
             known = sorted({*accepted, *also} - handed_in - {"_target_"})
             line = unknown_key(_shown(full, value), given_name(full), known)
-            raise ConfigError(line + _hint(key, name, owner))
+            raise ConfigError(line + _hint(key, name, owner) + _left_over(key, full))
     for name, argument in (accepted or {}).items():
         if name not in result and name not in handed_in:
             default = _plain_default(argument.default)
@@ -179,6 +179,13 @@ def _hint(group: str, name: str, owner: str | None) -> str:
     if group != "domain" or name not in ("dt", "time_limit", "clip_action"):
         return ""
     return f"; {owner} sets the {name} of its spec itself: give its constructor an argument {name}"
+
+
+def _left_over(group: str, key: str) -> str:
+    """For a setting of an experiment whose option of the group was replaced by a typed one."""
+    if given(key) is not None or given(group) is None or given("experiment") is None:
+        return ""
+    return f"; {given('experiment')} sets it for another {group}: leave it out with ~{key}"
 
 
 def _within_default(value: Any, default: Any) -> Any:

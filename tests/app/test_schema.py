@@ -154,3 +154,10 @@ def test_defaults_of_a_flat_configuration() -> None:
     found = schema.defaults({"fit._target_": "edtorch.model.fit.RecursiveLeastSquares"})
     assert found["fit.forgetting"] == 1.0
     assert found["exploration.decay"] == 0.3
+
+
+def test_what_an_experiment_sets_for_another_option_can_be_left_out() -> None:
+    typed = ["experiment=regulation", "reward=saturating"]
+    with pytest.raises(ConfigError, match=r"another reward: leave it out with ~reward\.by_scale$"):
+        compose(typed)
+    assert "by_scale" not in compose([*typed, "~reward.by_scale"]).reward
