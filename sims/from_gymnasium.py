@@ -127,7 +127,8 @@ class GymnasiumSim:
             threshold = None
         state = _named("state", observation, state_names)
         none = [q.name for q, none in zip(state, finite_but_none(observation), strict=True) if none]
-        self._hint = None if angles else AngleHint([q.name for q in state])
+        self._observed = [q.name for q in state]
+        self._hint = None if angles else AngleHint(self._observed)
         self._view: AngleView | None = None
         if angles:
             self._view, state = angle_view(state, angles)
@@ -301,6 +302,7 @@ class GymnasiumSim:
             raise SimulatorFailed(f"{self._source.name}: reset failed: {why}") from error
         row = torch.zeros(self._size + 5, dtype=uniform.dtype)
         row[:_TERMINATED], row[_SUCCESS] = read, -1.0
+        self._check_pairs(row)
         return row
 
     def _checked(self, observation: Any) -> Tensor:
@@ -312,6 +314,18 @@ class GymnasiumSim:
         if not bool(read.isfinite().all()):
             raise ValueError("an observation that is not finite")
         return read
+
+    def _check_pairs(self, row: Tensor) -> None:
+        """Refuse a pair far from the unit circle, whose angle would mean nothing."""
+        for component in self._view.components if self._view is not None else ():
+            if len(component.sources) == 2:
+                cosine, sine = (float(row[k]) for k in component.sources)
+                if not 0.25 <= cosine**2 + sine**2 <= 4.0:  # noisy sensors included
+                    first, second = (self._observed[k] for k in component.sources)
+                    raise SimulatorFailed(
+                        f"{self._source.name}: angles=({first}, {second}): expected cosine and"
+                        f" sine of one angle, and got {cosine:.4g} and {sine:.4g}"
+                    )
 
     def _look_for_angles(self, row: Tensor) -> None:
         line = None if self._hint is None else self._hint.add(row[:_TERMINATED].numpy())

@@ -362,3 +362,15 @@ def test_without_an_environment_the_preset_must_name_one() -> None:
 def test_a_budget_below_a_tick_is_refused() -> None:
     with pytest.raises(ValueError, match=r"seconds=0\.001: expected at least one tick"):
         edtorch.learn(preset="bicycle", seconds=0.001)
+
+
+def test_a_pair_that_is_no_cosine_and_sine_is_refused() -> None:
+    """An angle of position and speed would mean nothing."""
+    with pytest.raises(ValueError, match=r"angles=\(angle, rate\): expected cosine and sine"):
+        edtorch.learn(
+            "InvertedPendulum-v5",
+            names=["position", "angle", "speed", "rate"],
+            angles={"wrong": ("angle", "rate")},
+            seconds=1,
+            progress=False,
+        )
