@@ -30,7 +30,7 @@ def _task(composed: Any) -> float:
     stop = Stop()
     try:
         # Paths are relative to where the user stands, whatever hydra.job.chdir says.
-        with contextlib.chdir(hydra.runtime.cwd), stop.listening(), refusing():
+        with stop.listening(), refusing(), contextlib.chdir(hydra.runtime.cwd):
             settings = checked(plainly(composed))
             # Not before: what a job needs takes seconds to import.
             from edtorch.app.rundir import RunFolder
