@@ -1,4 +1,4 @@
-"""One job, whoever learns: run to the end, evaluate, keep the results in memory.
+"""One job for every method: run to the end, evaluate, keep the results in memory.
 
 ``edtorch-train`` writes them to a run folder, ``edtorch.learn`` hands them to its caller.
 """

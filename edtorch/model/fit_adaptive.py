@@ -24,8 +24,8 @@ from edtorch.types import Parameters, each_learner
 class AdaptiveLeastSquares:
     """``RecursiveLeastSquares`` whose P grows by ``doubt`` I when the innovations do.
 
-    Each output's squared innovation, over 1 + phi'P phi, what of it the fit's own ignorance
-    explains, is averaged twice: over a short time (rate ``fast``) and a long one (rate ``slow``).
+    Each output's squared innovation is divided by 1 + phi'P phi, the part that parameter
+    uncertainty explains, and averaged over a short time (rate ``fast``) and a long one (``slow``).
     A short average ``threshold`` times the long one in some output is an alarm.  The long averages
     then begin anew from the short ones; for ten times the short one's memory nothing is an alarm,
     nor is it at the beginning.

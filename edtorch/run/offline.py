@@ -1,4 +1,4 @@
-"""Learning from recorded transitions, whoever's policy made them (section 6: off-policy).
+"""Learning from recorded transitions of any policy (section 6: off-policy).
 
 The model is fitted to each learner's transitions by ``Learner.step``, one after the other, as if
 they were its own; then the policy climbs on the model as it is, which costs no experience, until
@@ -49,12 +49,12 @@ def _generator(seed: int, what: _Draw) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Lessons:
-    """How a learner takes the transitions that there are.
+    """Which recorded transitions a learner uses, and in which order.
 
-    share: of each learner: own, those recorded from its seed; all; or bootstrap, as many episodes
-    as there are, drawn with replacement (Efron, 1979).  order: within a pass, as they were recorded
-    or shuffled anew in each.  passes: over all of them.  within: by component of the state, how far
-    from zero it may be, physical units, in a transition that is learned from.
+    share: own, the episodes recorded with its seed; all; or bootstrap, a sample of the episodes of
+    the same size, drawn with replacement (Efron, 1979).  order: within a pass, as recorded or
+    shuffled anew.  passes: over all of them.  within: by index of a state component, the greatest
+    absolute value, physical units, of transitions that are used.
     """
 
     share: EpisodeSharing = "own"

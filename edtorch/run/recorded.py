@@ -1,4 +1,4 @@
-"""Recorded transitions in memory, whoever's policy made them."""
+"""Recorded transitions of any policy, in memory."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A population of learners at work in its worlds, and the record of what it does.
 
-Nothing here writes or prints: whoever runs the loop asks it for snapshots and records.
+Nothing here writes or prints: the caller of the loop asks it for snapshots and records.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def check_covariance(name: str, cov: Tensor) -> None:
 
 
 def check_belief(belief: Belief) -> None:
-    """Refuse a belief that is none: wrong shapes, NaN, no covariance."""
+    """Reject an invalid belief: wrong shapes, NaN, or a matrix that is no covariance."""
     if belief.mean.ndim < 1 or belief.mean.shape[-1] < 1:
         raise ShapeError(f"mean has shape {tuple(belief.mean.shape)}, expected [*batch, n]")
     _expect_shape("cov", belief.cov, (*belief.mean.shape, belief.mean.shape[-1]))

@@ -110,8 +110,8 @@ def test_the_recording_is_of_the_run(recorded: Path) -> None:
 
 @pytest.mark.experiment
 def test_fifteen_seconds_of_falls_teach_to_ride(recorded: Path, learned: Path) -> None:
-    """The experiment's files and figures; nobody falls within four seconds, as whoever does nothing
-    does after two."""
+    """The experiment's files and figures; no learner falls within four seconds, where a bicycle
+    without control falls after two."""
     assert {p.name for p in learned.iterdir()} == FILES
     assert _json(learned / "status.json")["status"] == "done"
     summary, before = (_json(path / "summary.json") for path in (learned, recorded))

@@ -118,7 +118,7 @@ BROKEN = {
         _edit("summary.json", lambda s: s.update(evaluations=[{"x": {"per_seed": [1, 2]}}])),
         r"evaluations: expected figures, each with minutes",
     ),
-    "a final that is none": (
+    "an invalid final": (
         _edit("summary.json", lambda s: s.update(final=3)),
         r"final: expected",
     ),
@@ -127,7 +127,7 @@ BROKEN = {
         _replace("summary.json", f'{{"cpu_s": 1{"0" * 400}}}'),
         r"summary\.json is not JSON",
     ),
-    "versions that are none": (
+    "invalid versions": (
         _edit("summary.json", lambda s: s.update(versions=[1])),
         r"versions: expected dict or nothing",
     ),

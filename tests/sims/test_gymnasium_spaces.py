@@ -1,4 +1,4 @@
-"""Boxes: bounds that are none, and the spaces of the registered environments."""
+"""Boxes: bounds that count as infinite, and the spaces of the registered environments."""
 
 from __future__ import annotations
 
