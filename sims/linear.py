@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from sims.base import Measure, Outcome, Quantity, Spec, expect_action
+from sims.base import Measure, Outcome, Quantity, Spec
+from sims.rows import Function, Namespace, Rows, RowSim, joined
+
+RUNNING, FAILED = int(Outcome.RUNNING), int(Outcome.FAILED)
 
 
-class LinearSystem:
+class LinearSystem(RowSim):
     """s' = F s + G a + noise w, with w standard normal.
 
     ======== ==================================================================================
@@ -27,8 +30,6 @@ class LinearSystem:
     Arguments: ``state_matrix`` F ``[n][n]``, ``action_matrix`` G ``[n][m]``; ``noise``: standard
     deviation; ``start`` above 0; ``dt`` and ``time_limit`` in s.  ValueError names what is wrong.
     """
-
-    traceable: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -52,7 +53,7 @@ class LinearSystem:
                 raise ValueError(f"{name}={value}: expected a finite number above 0")
         if not (math.isfinite(noise) and noise >= 0):
             raise ValueError(f"noise={noise}: expected a finite number, 0 or more")
-        self._F, self._G, self._noise, self._start = F, G, noise, start
+        self._F, self._G, self._noise, self._start = F, G, float(noise), float(start)
         self._spec = Spec(
             name="linear",
             state=tuple(Quantity(f"state_{i}", "1") for i in range(F.shape[0])),
@@ -72,32 +73,48 @@ class LinearSystem:
         """The facts of the domain."""
         return self._spec
 
-    def initial(self, uniforms: Tensor) -> Tensor:
-        """Start states ``[*batch, n]`` from uniforms ``[*batch, n]``."""
-        return self._start * (2 * uniforms - 1)
+    def rows(self, xp: Namespace) -> Rows:
+        """s' = F s + G a + noise w; constants: noise, start, and the rows of [F G]."""
+        n, m = self._G.shape
+        both = torch.cat((self._F, self._G), dim=1).flatten().tolist()
 
-    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
-        """``state`` with a new start where ``mask`` ``[*batch]``."""
-        return torch.where(mask.unsqueeze(-1), self.initial(uniforms), state)
+        def component(i: int) -> Function:
+            first = 2 + i * (n + m)
 
-    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
-        """The state ``[*batch, n]`` a step later; uniforms ``[*batch, 2 n]`` make the noise."""
-        expect_action(state, action, self._G.shape[-1])
-        # Box and Muller (1958); 1 - u keeps the logarithm finite.
-        radius, angle = uniforms.chunk(2, dim=-1)
-        normal = (-2 * torch.log1p(-radius)).sqrt() * (2 * math.pi * angle).cos()
-        F, G = self._F.to(state.device), self._G.to(state.device)
-        moved = (state.unsqueeze(-2) * F).sum(-1) + (action.unsqueeze(-2) * G).sum(-1)
-        return moved + self._noise * normal
+            @xp.jit
+            def moved(state: Any, action: Any, uniforms: Any, constants: Any) -> Any:
+                free = constants[first] * state[0]
+                for j in range(1, n):
+                    free = free + constants[first + j] * state[j]
+                forced = constants[first + n] * action[0]
+                for j in range(1, m):
+                    forced = forced + constants[first + n + j] * action[j]
+                # Box and Muller (1958); 1 - u keeps the logarithm finite.
+                radius = xp.sqrt(-2 * xp.log1p(-uniforms[i]))
+                normal = radius * xp.cos(2 * math.pi * uniforms[n + i])
+                return (free + forced + constants[0] * normal,)
 
-    def observe(self, state: Tensor) -> Tensor:
-        """The state itself."""
-        return state
+            return moved
 
-    def outcome(self, state: Tensor) -> Tensor:
-        """``Outcome`` of each episode, int64 ``[*batch]``."""
-        inside = (state.abs() <= 1000 * self._start).all(-1)
-        return torch.where(inside, int(Outcome.RUNNING), int(Outcome.FAILED))
+        def started(i: int) -> Function:
+            return xp.jit(
+                lambda state, uniforms, constants: (constants[1] * (2 * uniforms[i] - 1),)
+            )
+
+        def outcome(state: Any, constants: Any) -> Any:
+            inside = xp.abs(state[0]) <= 1000 * constants[1]
+            for j in range(1, n):
+                inside = xp.both(inside, xp.abs(state[j]) <= 1000 * constants[1])
+            return xp.where(inside, RUNNING, FAILED)
+
+        return Rows(
+            width=n,
+            step=joined(xp, *(component(i) for i in range(n))),
+            observe=lambda state, constants: state,
+            outcome=outcome,
+            start=joined(xp, *(started(i) for i in range(n))),
+            constants=(self._noise, self._start, *both),
+        )
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """``final_size`` ``[*batch]``."""

@@ -1,0 +1,129 @@
+"""The rows of a simulator (``sims.rows``) compiled to scalar code by numba.
+
+numba takes seconds to import: only code that compiles imports this module.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from types import FunctionType, ModuleType
+from typing import Any, cast
+
+import numba
+import numpy as np
+
+from sims.rows import HasRows, Namespace, NoRows, Rows, rows_of
+
+
+def _sign(x: float) -> float:
+    # 0 for NaN, as torch has it.
+    return float(x > 0) - float(x < 0)
+
+
+def _minimum(a: float, b: float) -> float:
+    return a if a < b or a != a else b
+
+
+def _maximum(a: float, b: float) -> float:
+    return a if a > b or a != a else b
+
+
+def _where(mask: bool, a: Any, b: Any) -> Any:
+    return a if mask else b
+
+
+def _both(a: bool, b: bool) -> bool:
+    return a & b
+
+
+def _either(a: bool, b: bool) -> bool:
+    return a | b
+
+
+def _negated(mask: bool) -> bool:
+    return not mask
+
+
+def _as_number(mask: bool) -> float:
+    return 1.0 if mask else 0.0
+
+
+def _tiny(x: float) -> float:
+    return 2.2250738585072014e-308
+
+
+def numba_namespace(key: str) -> Namespace:
+    """The functions for compiled code, ``key`` being part of the name of each that ``jit`` makes.
+
+    numba knows a compiled function by name, types and a count within its process; code from a cache
+    on disk calls functions by these names.  A key that tells apart what is compiled keeps functions
+    of different processes from being taken for one another.
+    """
+
+    def jit(function: Any) -> Any:
+        if not isinstance(function, FunctionType):
+            return function
+        # A copy, for a function of a module may be compiled under several keys.
+        own = FunctionType(
+            function.__code__,
+            function.__globals__,
+            f"{function.__name__}_{key}",
+            function.__defaults__,
+            function.__closure__,
+        )
+        own.__qualname__ = f"{function.__qualname__}_{key}"
+        own.__module__, own.__doc__ = function.__module__, function.__doc__
+        return numba.njit(error_model="numpy", nogil=True, forceinline=True)(own)
+
+    # A module: numba looks up its attributes when it compiles, those of other objects it does not.
+    namespace = ModuleType(f"numba_namespace_{key}")
+    vars(namespace).update(
+        sin=math.sin,
+        cos=math.cos,
+        atan=math.atan,
+        asin=math.asin,
+        sqrt=math.sqrt,
+        exp=math.exp,
+        log=math.log,
+        log1p=math.log1p,
+        floor=np.floor,
+        round=np.rint,
+        abs=abs,
+        isfinite=math.isfinite,
+        sign=jit(_sign),
+        minimum=jit(_minimum),
+        maximum=jit(_maximum),
+        where=jit(_where),
+        both=jit(_both),
+        either=jit(_either),
+        negated=jit(_negated),
+        as_number=jit(_as_number),
+        tiny=jit(_tiny),
+        jit=jit,
+    )
+    return cast(Namespace, namespace)
+
+
+def compiled(sim: HasRows, key: str) -> Rows:
+    """The rows of ``sim``, its functions compiled by numba when they are first called.
+
+    NoRows where the simulator has none, or constants that are no numbers; ValueError where its rows
+    are wrong (``sims.rows.rows_of``).
+    """
+    xp = numba_namespace(key)
+    rows = rows_of(sim, xp)
+    names = getattr(rows.constants, "_fields", range(len(rows.constants)))
+    for name, value in zip(names, rows.constants, strict=True):
+        if not isinstance(value, float):
+            raise NoRows(
+                f"{type(sim).__name__}.rows: constants.{name} is a {type(value).__name__}:"
+                " compiled code takes floats"
+            )
+    functions: dict[str, Callable[..., Any]] = {
+        name: xp.jit(getattr(rows, name))
+        for name in ("step", "observe", "outcome", "start", "birth", "stepped")
+        if getattr(rows, name) is not None
+    }
+    return replace(rows, **functions)
