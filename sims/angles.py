@@ -9,23 +9,39 @@ from __future__ import annotations
 
 import math
 
-import torch
 from torch import Tensor
 
+from sims.rows import TORCH, Function, Namespace
 
-def atan2(y: Tensor, x: Tensor, radius: Tensor | None = None) -> Tensor:
-    """The angle of the vector (x, y), in (-pi, pi], by the half-angle formula.
+
+def atan2_over(xp: Namespace) -> tuple[Function, Function]:
+    """The angle of the vector (x, y), in (-pi, pi], by the half-angle formula, over rows: a
+    function of (y, x), and one of (y, x, radius) where the length of the vector is known.
 
     For x >= 0 it is 2 atan(y / (radius + x)), a sum without cancellation; the other half-plane is
     that one mirrored.  Right to about one unit in the last place in all quadrants and on the axes
     (+pi for y = 0 or -0, x < 0; 0 for the null vector), with the right derivatives there too.
-    ``radius`` is the length of the vector, if it is known already.  All tensors have one shape.
     """
-    if radius is None:
+
+    @xp.jit
+    def with_radius(y, x, radius):
+        west = x < 0
+        # Not abs(x): its derivative at 0 is 0.
+        angle = 2 * xp.atan(y / (radius + xp.where(west, -x, x)))
+        mirrored = xp.where(y < 0, -math.pi - angle, math.pi - angle)
+        return xp.where(west, mirrored, angle)
+
+    @xp.jit
+    def angle(y, x):
         # The floor keeps the null vector, and the derivative there, finite.
-        radius = (x * x + y * y).clamp(min=torch.finfo(x.dtype).tiny).sqrt()
-    west = x < 0
-    # Not x.abs(): its derivative at 0 is 0.
-    angle = 2 * (y / (radius + torch.where(west, -x, x))).atan()
-    mirrored = torch.where(y < 0, -math.pi - angle, math.pi - angle)
-    return torch.where(west, mirrored, angle)
+        return with_radius(y, x, xp.sqrt(xp.maximum(x * x + y * y, xp.tiny(x))))
+
+    return angle, with_radius
+
+
+_ATAN2, _ = atan2_over(TORCH)
+
+
+def atan2(y: Tensor, x: Tensor) -> Tensor:
+    """That angle for tensors of one shape."""
+    return _ATAN2(y, x)

@@ -19,7 +19,7 @@ from sims.rows import HasRows, Namespace, NoRows, Rows, rows_of
 
 def _sign(x: float) -> float:
     # 0 for NaN, as torch has it.
-    return float(x > 0) - float(x < 0)
+    return (1.0 if x > 0 else 0.0) - (1.0 if x < 0 else 0.0)
 
 
 def _minimum(a: float, b: float) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -82,7 +81,7 @@ class LinearSystem(RowSim):
             first = 2 + i * (n + m)
 
             @xp.jit
-            def moved(state: Any, action: Any, uniforms: Any, constants: Any) -> Any:
+            def moved(state, action, uniforms, constants):
                 free = constants[first] * state[0]
                 for j in range(1, n):
                     free = free + constants[first + j] * state[j]
@@ -101,7 +100,7 @@ class LinearSystem(RowSim):
                 lambda state, uniforms, constants: (constants[1] * (2 * uniforms[i] - 1),)
             )
 
-        def outcome(state: Any, constants: Any) -> Any:
+        def outcome(state, constants):
             inside = xp.abs(state[0]) <= 1000 * constants[1]
             for j in range(1, n):
                 inside = xp.both(inside, xp.abs(state[j]) <= 1000 * constants[1])

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
-import torch
 from torch import Tensor
+
+from sims.rows import TORCH, Function, Namespace
 
 # M. J. Wichura, "Algorithm AS 241: the percentage points of the normal distribution", Applied
 # Statistics 37, 1988, routine PPND16: right to about 1e-16.  Constant terms first.
@@ -38,28 +39,41 @@ _LEAST = 2.0**-54
 """Half of the least step between the uniform numbers of a generator of 53 bits."""
 
 
-def normal_quantile(uniform: Tensor) -> Tensor:
-    """The inverse of the normal distribution function: standard normal numbers ``[...]`` from
+def normal_quantile_over(xp: Namespace) -> Function:
+    """The inverse of the normal distribution function over rows: standard normal numbers from
     float64 uniform ones in [0, 1].
 
     Finite also at 0 and 1 (+-8.2), which rounding to fewer bits can make of other numbers.
     """
-    p = uniform.contiguous().clamp(_LEAST, 1 - 2 * _LEAST)
-    q = p - 0.5
-    # The rarer end first: 1 - p is exact there.
-    r = (-torch.minimum(p, 1 - p).log()).sqrt()
-    outer = torch.where(r <= 5.0, _ratio(_FLANK, r - 1.6), _ratio(_TAIL, r - 5.0))
-    outer = torch.where(q < 0, -outer, outer)
-    return torch.where(q.abs() <= 0.425, q * _ratio(_CENTRE, 0.180625 - q * q), outer)
+    polynomial = xp.jit(_polynomial)
+
+    @xp.jit
+    def quantile(uniform):
+        p = xp.maximum(xp.minimum(uniform, 1 - 2 * _LEAST), _LEAST)
+        q = p - 0.5
+        # The rarer end first: 1 - p is exact there.
+        r = xp.sqrt(-xp.log(xp.minimum(p, 1 - p)))
+        flank = polynomial(_FLANK[0], r - 1.6) / polynomial(_FLANK[1], r - 1.6)
+        tail = polynomial(_TAIL[0], r - 5.0) / polynomial(_TAIL[1], r - 5.0)
+        outer = xp.where(r <= 5.0, flank, tail)
+        outer = xp.where(q < 0, -outer, outer)
+        x = 0.180625 - q * q
+        centre = q * (polynomial(_CENTRE[0], x) / polynomial(_CENTRE[1], x))
+        return xp.where(xp.abs(q) <= 0.425, centre, outer)
+
+    return quantile
 
 
-def _ratio(coefficients: tuple[Sequence[float], Sequence[float]], x: Tensor) -> Tensor:
-    above, below = (_polynomial(terms, x) for terms in coefficients)
-    return above / below
-
-
-def _polynomial(terms: Sequence[float], x: Tensor) -> Tensor:
-    value = terms[-1] * x + terms[-2]
-    for term in reversed(terms[:-2]):
-        value = value * x + term
+def _polynomial(terms: tuple[float, ...], x: Any) -> Any:
+    value = terms[7] * x + terms[6]
+    for k in range(5, -1, -1):
+        value = value * x + terms[k]
     return value
+
+
+_QUANTILE = normal_quantile_over(TORCH)
+
+
+def normal_quantile(uniform: Tensor) -> Tensor:
+    """That inverse for a tensor of any shape."""
+    return _QUANTILE(uniform.contiguous())

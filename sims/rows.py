@@ -75,8 +75,10 @@ def _of_rows(function: Function) -> Function:
     return of_row
 
 
-def _where(mask: Tensor, a: Row, b: Row) -> Tensor:
+def _where(mask: Tensor, a: Row, b: Row) -> Row:
     if isinstance(a, float) and isinstance(b, float | int):
+        if a == b:
+            return a
         # torch would make float32 of two numbers.
         a = torch.tensor(a, dtype=torch.float64, device=mask.device)
     return torch.where(mask, a, b)
@@ -177,7 +179,8 @@ def rows_of(sim: HasRows, xp: Namespace = TORCH) -> Rows:
     """``sim.rows(xp)``, tried in torch on zeros before.
 
     ValueError, one line, names the first member that is missing or returns something else than
-    ``Rows`` says; NoRows where the simulator has none.
+    ``Rows`` says.  NoRows where the simulator has none, and, for another namespace than torch's,
+    where a subclass overrides one of the tensor functions alone.
     """
     name = type(sim).__name__
     try:
@@ -190,12 +193,28 @@ def rows_of(sim: HasRows, xp: Namespace = TORCH) -> Rows:
         raise ValueError(f"{name}.rows: {reason}") from error
     if not isinstance(rows, Rows):
         raise ValueError(f"{name}.rows: returned {type(rows).__name__}, expected Rows")
-    if (rows.stepped is not None) != hasattr(sim, "stepped"):
-        raise ValueError(f"{name}.rows: expected `stepped` if and only if {name} has a `stepped`")
-    spec = sim.spec
+    fallible = hasattr(sim, "stepped")
+    if rows.stepped is not None and not fallible:
+        raise ValueError(f"{name}.rows: gives `stepped`, expected {name} to be a FallibleRowSim")
+    _try(name, rows, sim.spec)
+    if xp is TORCH:
+        return rows
+    if fallible and rows.stepped is None:
+        raise NoRows(f"{name}: its `stepped` is not among its rows")
+    kind = type(sim)
+    written = kind.__mro__.index(next(c for c in kind.__mro__ if "rows" in vars(c)))
+    for c in kind.__mro__[:written]:
+        for member in ("initial", "restart", "step", "observe", "outcome", "stepped"):
+            if member in vars(c):
+                raise NoRows(f"{name}: overrides `{member}` and not `rows`")
+    return sim.rows(xp)
+
+
+def _try(name: str, rows: Rows, spec: Spec) -> None:
+    """ValueError where a function does not return what ``Rows`` says."""
 
     def zeros(count: int) -> tuple[Tensor, ...]:
-        return tuple(torch.zeros(2, dtype=torch.float64) for _ in range(count))
+        return (torch.zeros((), dtype=torch.float64),) * count
 
     state, draws = zeros(rows.width), zeros(spec.reset_dim)
     step = (state, zeros(len(spec.action)), zeros(spec.disturbance_dim))
@@ -227,7 +246,6 @@ def rows_of(sim: HasRows, xp: Namespace = TORCH) -> Rows:
             raise ValueError(f"{where} returned {type(got).__name__}, expected a tuple of rows")
         elif len(got) != count:
             raise ValueError(f"{where} returned {len(got)} rows, expected {expected}")
-    return rows if xp is TORCH else sim.rows(xp)
 
 
 def joined(xp: Namespace, *functions: Function) -> Function:
@@ -327,5 +345,6 @@ class FallibleRowSim(RowSim):
     def stepped(self, state: Tensor) -> Tensor:
         """Whether the step to ``state`` was one, bool ``[*batch]``."""
         rows = self._rows
-        assert rows.stepped is not None  # rows_of has seen to it
+        if rows.stepped is None:
+            raise ValueError(f"{type(self).__name__}.rows: expected a function `stepped`")
         return rows.stepped(unstacked(state), rows.constants)

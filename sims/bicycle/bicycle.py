@@ -6,18 +6,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from sims.angles import atan2
-from sims.base import Measure, Outcome, Quantity, Spec, Words, expect_action
-from sims.bicycle.life import CHANGING, DRAWN, changed, factors, multiplied
+from sims.angles import atan2_over
+from sims.base import Measure, Outcome, Quantity, Spec, Words
+from sims.bicycle.life import CHANGING, DRAWN, Numbers, changed_over, factors_over, multiplied
 from sims.bicycle.optimum import shortest_length, steady_handlebar
 from sims.bicycle.physics import (
     RANDLOV,
@@ -28,8 +29,10 @@ from sims.bicycle.physics import (
     explicit_euler,
     semi_implicit,
     step,
+    step_over,
 )
-from sims.bicycle.wind import Gusts
+from sims.bicycle.wind import Gusts, gusts_over
+from sims.rows import TORCH, Function, Namespace, Rows, RowSim, joined, unstacked
 
 __all__ = [
     "GOAL",
@@ -78,6 +81,20 @@ _ACTION_UNIT = {"handlebar_torque": "N m", "displacement": "m"}
 _ACTION_BOUND = {"handlebar_torque": 2.0, "displacement": 0.02}
 
 
+_RUNNING, _FAILED, _SUCCEEDED = map(int, (Outcome.RUNNING, Outcome.FAILED, Outcome.SUCCEEDED))
+
+Constants = namedtuple(
+    "Constants",
+    (
+        *Numbers._fields,
+        *(f"later_{name}" for name in Numbers._fields),
+        *("dt", "noise", "goal_radius", "heading_low", "heading_high", "start_lean"),
+        *("start_handlebar", "spread", "change_step", "gust", "gust_steps", "gust_chance"),
+    ),
+)
+"""The constants of ``Bicycle.rows``; ``later_``: after the change."""
+
+
 def angle_to_goal(state: Tensor) -> Tensor:
     """Angle ``[*batch]`` in (-pi, pi] from the frame's direction to that from the front tyre to the
     goal, positive if the goal is on the left; state ``[*batch, 10]``.
@@ -85,18 +102,26 @@ def angle_to_goal(state: Tensor) -> Tensor:
     It is a true angle.  The C program has a surrogate, the cosine minus one or its absolute value,
     whose slope vanishes on course.
     """
-    return angle_to(state.movedim(-1, 0).contiguous(), *GOAL)
+    return _ANGLE_TO(unstacked(state), *GOAL)
 
 
-def angle_to(components: Tensor, x: Scalar, y: Scalar) -> Tensor:
-    """That angle for a goal at (x, y) and the components of a state in rows, ``[k, *batch]``."""
-    xf, yf, xb, yb = components[6:10].unbind(0)
-    ux, uy, wx, wy = xf - xb, yf - yb, x - xf, y - yf
-    return atan2(ux * wy - uy * wx, ux * wx + uy * wy)
+def angle_to_over(xp: Namespace) -> Function:
+    """That angle over rows: a function of the state and the goal's x and y."""
+    angle, _ = atan2_over(xp)
+
+    @xp.jit
+    def angle_to(state, x, y):
+        ux, uy, wx, wy = state[6] - state[8], state[7] - state[9], x - state[6], y - state[7]
+        return angle(ux * wy - uy * wx, ux * wx + uy * wy)
+
+    return angle_to
+
+
+_ANGLE_TO = angle_to_over(TORCH)
 
 
 @dataclass(frozen=True)
-class Bicycle:
+class Bicycle(RowSim):
     """Ride a bicycle, without falling, to a goal a kilometre away (Randløv and Alstrøm, ICML 1998).
 
     Observation:
@@ -177,7 +202,6 @@ class Bicycle:
     gust_every: float = 5.0
     change_at: float | None = None
     change: Mapping[str, float] = field(default_factory=dict, hash=False)
-    traceable: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse impossible arguments."""
@@ -281,19 +305,11 @@ class Bicycle:
         same, else tensors ``[*batch]``."""
         if not self.lasting:
             return self.physics
-        return self._constants(state.movedim(-1, 0).contiguous())
+        return self._own_physics(unstacked(state))
 
-    def _constants(self, components: Tensor, *, late: bool | None = None) -> Physics:
-        """late: of before or after the change, whatever the age."""
-        physics, places = self.physics, self._places
-        if "age" in places:
-            is_late = components[places["age"]][0] >= self._change_step
-            if late is not None:
-                is_late = torch.full_like(is_late, late)
-            physics = changed(physics, self.change, is_late)
-        if "factors" in places:
-            physics = multiplied(physics, components[places["factors"]])
-        return physics
+    def _own_physics(self, rows: Sequence[Tensor]) -> Physics:
+        own = self._own(TORCH)(rows, self._rows.constants)
+        return replace(self.physics, **{name: getattr(own, name) for name in Numbers._fields})
 
     @cached_property
     def _spec(self) -> Spec:
@@ -353,110 +369,143 @@ class Bicycle:
     def _is_off_balance(self) -> bool:
         return self.start_lean > 0 or self.start_handlebar > 0
 
-    def initial(self, uniforms: Tensor) -> Tensor:
-        """Start states ``[*batch, k]``, k being ``width``, with headings from the first of the
-        uniforms ``[*batch, reset_dim]``."""
-        draws = uniforms.movedim(-1, 0).contiguous()
-        lasting = []
-        if self.spread > 0:
-            lasting.append(factors(draws[1 : 1 + len(DRAWN)], self.spread))
-        if self.change_at is not None:
-            lasting.append(torch.zeros_like(draws[:1]))
-        return self._start(draws, lasting)
+    def _own(self, xp: Namespace) -> Function:
+        """The constants of a bicycle over rows, from (state, constants)."""
+        own = xp.jit(lambda state, c: c)
+        if "age" in self._places:
+            age, changed = self._places["age"].start, changed_over(xp)
+            own = xp.jit(lambda state, c: changed(state[age], c))
+        if "factors" not in self._places:
+            return own
+        first, times = self._places["factors"].start, xp.jit(multiplied)
+        last = first + len(DRAWN)
+        return xp.jit(lambda state, c: times(own(state, c), state[first:last]))
 
-    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
-        """``state`` with a new start where ``mask`` ``[*batch]``, unchanged elsewhere."""
-        draws = uniforms.movedim(-1, 0).contiguous()
-        lasting = []
-        if self.lasting:
-            components = state.movedim(-1, 0).contiguous()
-            lasting.append(components[len(STATE) : len(STATE) + len(self.lasting)])
-        return torch.where(mask[..., None], self._start(draws, lasting), state)
+    def _aim(self, xp: Namespace) -> Function:
+        """Where the rider steers for over rows, from (state, constants)."""
+        return xp.jit(lambda state, c: GOAL)
 
-    def _start(self, draws: Tensor, lasting: list[Tensor]) -> Tensor:
-        """Start states ``[*batch, k]`` of bicycles of which ``lasting`` (rows of components) is
-        known, from uniforms ``[reset_dim, *batch]``."""
-        low, high = self.start_heading_low, self.start_heading_high
-        psi = low + (high - low) * draws[0]
-        zero = torch.zeros_like(psi)
-        theta, omega = zero, zero
-        if self._is_off_balance:
-            omega = self.start_lean * (2 * draws[-2] - 1)
-            theta = self.start_handlebar * (2 * draws[-1] - 1)
-        length = self.physics.l
-        if "factors" in self._places:
-            length = length * lasting[0][DRAWN.index("l")]
-        east, north = -psi.sin() * length, psi.cos() * length
-        rows = (theta, zero, omega, zero, zero, psi, east, north, zero, zero)
-        if not self._places:
-            return torch.stack(rows).movedim(0, -1)
-        calm = [torch.zeros_like(draws[:1])] * (2 if self._gusts is not None else 0)
-        return torch.cat((torch.stack(rows), *lasting, *calm)).movedim(0, -1)
+    def _upright(self, xp: Namespace) -> Function:
+        """Whether the bicycle has not fallen over rows, from (state, constants)."""
 
-    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
-        """The state ``dt`` later; action ``[*batch, 2]`` in N m and m; uniforms ``[*batch,
-        disturbance_dim]``."""
-        expect_action(state, action, len(_ACTION_BOUND))
-        disturbance = uniforms[..., 0] * (2 * self.noise) - self.noise
-        if not self._places:
-            return step(
-                state,
-                action,
-                disturbance,
-                physics=self.physics,
-                integrate=self.integrate,
-                dt=self.dt,
+        @xp.jit
+        def upright(state, c):
+            # The sum is finite only if every component is; a comparison with NaN is false.
+            total = state[0]
+            for k in range(1, len(state)):
+                total = total + state[k]
+            return xp.both(xp.abs(state[2]) <= c.omega_max, xp.isfinite(total))
+
+        return upright
+
+    def _turned(self, xp: Namespace) -> Function:
+        """Handlebar and lean at a start over rows, from (uniforms, constants)."""
+        if not self._is_off_balance:
+            return xp.jit(lambda uniforms, c: (0.0, 0.0))
+        lean, bar = self._reset_dim - 2, self._reset_dim - 1
+        return xp.jit(
+            lambda uniforms, c: (
+                c.start_handlebar * (2 * uniforms[bar] - 1),
+                c.start_lean * (2 * uniforms[lean] - 1),
             )
-        components, places = state.movedim(-1, 0).contiguous(), self._places
-        side_force, memory = None, []
-        if "factors" in places:
-            memory.append(components[places["factors"]])
-        if "age" in places:
-            memory.append(components[places["age"]] + 1)
-        if self._gusts is not None:
-            force, left = components[places["gust"]].unbind(0)
-            draws = uniforms.movedim(-1, 0).contiguous()
-            side_force, left = self._gusts.blow(force, left, draws[1:3])
-            memory.append(torch.stack((side_force, left)))
-        moved = step(
-            components[: len(STATE)].movedim(0, -1),
-            action,
-            disturbance,
-            physics=self._constants(components),
-            integrate=self.integrate,
-            dt=self.dt,
-            side_force=side_force,
         )
-        return torch.cat((moved.movedim(-1, 0), *memory)).movedim(0, -1)
 
-    def observe(self, state: Tensor) -> Tensor:
-        """What the rider sees, ``[*batch, 5]`` or ``[*batch, 6]``, in the units of ``spec``."""
-        components = state.movedim(-1, 0).contiguous()
-        theta, theta_dot, omega, omega_dot, omega_ddot = components[:5].unbind(0)
-        rows = (omega, omega_dot, theta, theta_dot, self._angle(components))
-        if self.lean_acceleration:
-            rows = (*rows, omega_ddot)
-        # The batch last in memory, as in the state: compiled, a whole tick is then one pass.
-        return torch.stack(rows).movedim(0, -1)
+    def _length(self, xp: Namespace) -> Function:
+        """The wheelbase at a start over rows, from (what is remembered, constants)."""
+        if "factors" not in self._places:
+            return xp.jit(lambda memory, c: c.l)
+        place = DRAWN.index("l")
+        return xp.jit(lambda memory, c: c.l * memory[place])
 
-    def _angle(self, components: Tensor) -> Tensor:
-        """The angle to the goal ``[*batch]``, from rows of components ``[k, *batch]``."""
-        return angle_to(components, *GOAL)
+    def _constants(self) -> tuple[Any, ...]:
+        """Of ``rows``."""
+        numbers = {name: getattr(self.physics, name) for name in Numbers._fields}
+        gusts = self._gusts
+        gust = (self.gust, gusts.steps, gusts.chance) if gusts is not None else (0.0,) * 3
+        given = (
+            *numbers.values(),
+            *(numbers | dict(self.change)).values(),
+            *(self.dt, self.noise, self.goal_radius, self.start_heading_low),
+            *(self.start_heading_high, self.start_lean, self.start_handlebar, self.spread),
+            *(self._change_step, *gust),
+        )
+        return Constants(*(x if isinstance(x, Tensor) else float(x) for x in given))
+
+    def rows(self, xp: Namespace) -> Rows:
+        """The functions over rows; NoRows for an integrator that is not."""
+        windy, places = self._gusts is not None, self._places
+        move = step_over(xp, self.integrate, self.physics.true_precession, windy)
+        own, upright = self._own(xp), self._upright(xp)
+        aim, angle_to = self._aim(xp), angle_to_over(xp)
+        turned, length = self._turned(xp), self._length(xp)
+
+        # What the harder worlds remember: after a step, from the start of a life, from a start on.
+        nothing = xp.jit(lambda *arguments: ())
+        after, born, kept = [nothing], [nothing], [nothing]
+        if "factors" in places:
+            first, last, factors = len(STATE), len(STATE) + len(DRAWN), factors_over(xp)
+            drawn = last - len(STATE) + 1
+            after.append(xp.jit(lambda state, uniforms, c: state[first:last]))
+            born.append(xp.jit(lambda uniforms, c: factors(uniforms[1:drawn], c.spread)))
+            kept.append(xp.jit(lambda state: state[first:last]))
+        if "age" in places:
+            age = places["age"].start
+            after.append(xp.jit(lambda state, uniforms, c: (state[age] + 1,)))
+            born.append(xp.jit(lambda uniforms, c: (0.0,)))
+            kept.append(xp.jit(lambda state: (state[age],)))
+        if windy:
+            force, blow = places["gust"].start, gusts_over(xp)
+
+            @xp.jit
+            def blown(state, uniforms, c):
+                before, left = state[force], state[force + 1]
+                given = c.gust, c.gust_steps, c.gust_chance
+                return blow(before, left, uniforms[1], uniforms[2], *given)
+
+            after.append(blown)
+            born.append(xp.jit(lambda uniforms, c: (0.0, 0.0)))
+            kept.append(xp.jit(lambda state: (0.0, 0.0)))
+        remembered, begun, lasting = joined(xp, *after), joined(xp, *born), joined(xp, *kept)
+        side_force = xp.jit((lambda memory: memory[-2]) if windy else (lambda memory: 0.0))
+
+        def step(state, action, uniforms, c):
+            displacement = action[1] + (uniforms[0] * (2 * c.noise) - c.noise)
+            memory = remembered(state, uniforms, c)
+            force = side_force(memory)
+            return move(state, action[0], displacement, force, own(state, c), c.dt) + memory
+
+        @xp.jit
+        def placed(memory, uniforms, c):
+            theta, omega = turned(uniforms, c)
+            psi = c.heading_low + (c.heading_high - c.heading_low) * uniforms[0]
+            l = length(memory, c)  # noqa: E741
+            east, north = -xp.sin(psi) * l, xp.cos(psi) * l
+            return (theta, 0.0, omega, 0.0, 0.0, psi, east, north, 0.0, 0.0, *memory)
+
+        @xp.jit
+        def observe(state, c):
+            x, y = aim(state, c)
+            return state[2], state[3], state[0], state[1], angle_to(state, x, y)
+
+        def outcome(state, c):
+            east, north = state[6] - GOAL[0], state[7] - GOAL[1]
+            arrived = east * east + north * north <= c.goal_radius * c.goal_radius
+            return xp.where(upright(state, c), xp.where(arrived, _SUCCEEDED, _RUNNING), _FAILED)
+
+        acceleration = [xp.jit(lambda state, c: (state[4],))] if self.lean_acceleration else []
+        return Rows(
+            constants=self._constants(),
+            width=self.width,
+            step=step,
+            observe=joined(xp, observe, *acceleration),
+            outcome=outcome,
+            start=lambda state, uniforms, c: placed(lasting(state), uniforms, c),
+            birth=lambda uniforms, c: placed(begun(uniforms, c), uniforms, c),
+        )
 
     def upright(self, state: Tensor) -> Tensor:
         """Whether the bicycle has not fallen, bool ``[*batch]``."""
-        # The sum is finite only if every component is; a comparison with NaN is false.
-        return (state[..., 2].abs() <= self.physics.omega_max) & (state.sum(-1).abs() < math.inf)
-
-    def outcome(self, state: Tensor) -> Tensor:
-        """FAILED, SUCCEEDED or RUNNING as int64 ``[*batch]``; a fall is looked for first."""
-        east, north = state[..., 6] - GOAL[0], state[..., 7] - GOAL[1]
-        arrived = east * east + north * north <= self.goal_radius * self.goal_radius
-        return torch.where(
-            self.upright(state),
-            arrived.long() * int(Outcome.SUCCEEDED),
-            int(Outcome.FAILED),
-        )
+        return self._upright(TORCH)(unstacked(state), self._rows.constants)
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Figures of finished rides, each ``[*batch]``; seconds ``[*batch]``.
@@ -508,10 +557,13 @@ class Bicycle:
         if "age" not in self._places:
             speed = self.constants(start).v
             return speed, None, speed
-        components = start.movedim(-1, 0).contiguous()
-        first, later = (self._constants(components, late=late).v for late in (False, True))
-        age = components[self._places["age"]][0]
-        return first, ((self._change_step - age) * self.dt).clamp(min=0.0), later
+        rows, place = list(unstacked(start)), self._places["age"].start
+        age = rows[place]
+        speeds = []
+        for other in (-math.inf, math.inf):
+            rows[place] = torch.full_like(age, other)
+            speeds.append(self._own_physics(rows).v)
+        return speeds[0], ((self._change_step - age) * self.dt).clamp(min=0.0), speeds[1]
 
     def baselines(self) -> Mapping[str, Callable[[Tensor], Tensor]]:
         """``lqr``: the regulator that knows the bicycle (``sims.bicycle.lqr``)."""

@@ -8,13 +8,14 @@ which it falls.  So it is no upper bound, but what linear control theory does wi
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from sims.base import Spec, spec_index
+from sims.bicycle.life import Numbers
 from sims.bicycle.physics import Integrator, Physics, step
 
 REDUCED = ("handlebar", "handlebar_rate", "lean", "lean_rate", "heading")
@@ -30,8 +31,6 @@ often that 3 % of the starts off balance are lost, with a hundredth 7 %; with th
 HEADING_BOUND = 0.5
 """How much of the angle to the goal (rad) is asked for at once.  Of 200 rides in each of the harder
 worlds none falls with it; with 1.0 up to 4 do, and with 0.25 some gates of a slalom are missed."""
-
-_CONSTANTS = tuple(f.name for f in fields(Physics) if f.name != "true_precession")
 
 
 class Ridden(Protocol):
@@ -71,7 +70,7 @@ class Ridden(Protocol):
 
 def _numbers(physics: Physics) -> Tensor:
     """The constants as a tensor ``[*batch, 12]``."""
-    numbers = (torch.as_tensor(getattr(physics, k), dtype=torch.float64) for k in _CONSTANTS)
+    numbers = (torch.as_tensor(getattr(physics, k), dtype=torch.float64) for k in Numbers._fields)
     return torch.stack(torch.broadcast_tensors(*numbers), dim=-1)
 
 
@@ -82,7 +81,7 @@ def linearised(physics: Physics, integrate: Integrator, dt: float) -> tuple[Tens
     batch = constants.shape[:-1]
 
     def moved(x: Tensor, action: Tensor, constants: Tensor) -> Tensor:
-        own = replace(physics, **dict(zip(_CONSTANTS, constants.unbind(-1), strict=True)))
+        own = replace(physics, **dict(zip(Numbers._fields, constants.unbind(-1), strict=True)))
         theta, theta_dot, omega, omega_dot, psi = x.unbind(-1)
         zero = torch.zeros_like(psi)
         tyres = (-psi.sin() * own.l, psi.cos() * own.l, zero, zero)
@@ -93,7 +92,7 @@ def linearised(physics: Physics, integrate: Integrator, dt: float) -> tuple[Tens
     x = torch.zeros(5, dtype=torch.float64)
     action = torch.zeros(2, dtype=torch.float64)
     jacobian = torch.func.vmap(torch.func.jacrev(moved, (0, 1)), (None, None, 0))
-    F, G = jacobian(x, action, constants.reshape(-1, len(_CONSTANTS)))
+    F, G = jacobian(x, action, constants.reshape(-1, len(Numbers._fields)))
     return F.reshape(*batch, 5, 5), G.reshape(*batch, 5, 2)
 
 

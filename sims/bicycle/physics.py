@@ -16,12 +16,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
+from typing import Any
 
-import torch
 from torch import Tensor
-from torch.nn import functional
 
-from sims.angles import atan2
+from sims.angles import atan2_over
+from sims.rows import TORCH, Function, Namespace, NoRows, stacked, unstacked
 
 Scalar = float | Tensor
 """A number, or a tensor ``[*batch]`` with one of its own for every element of the batch."""
@@ -84,8 +85,7 @@ class Physics:
     @property
     def I_B(self) -> Scalar:
         """Moment of inertia of bicycle and rider about the line of the tyres, kg m^2."""
-        height = self.h + self.d_CM
-        return 13 / 3 * self.M_c * self.h * self.h + self.M_p * height * height
+        return _inertia(self)
 
     @property
     def I_d(self) -> Scalar:
@@ -109,44 +109,68 @@ Integrator = Callable[
 (theta, theta_dot, omega, omega_dot) one step of dt seconds later."""
 
 
-def semi_implicit(
-    theta: Tensor,
-    theta_dot: Tensor,
-    theta_ddot: Tensor,
-    omega: Tensor,
-    omega_dot: Tensor,
-    omega_ddot: Tensor,
-    dt: float,
-    stop: Scalar,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Rates first, then angles with the new rates, as in the C program.
+def _inertia(p: Any) -> Any:
+    height = p.h + p.d_CM
+    return 13 / 3 * p.M_c * p.h * p.h + p.M_p * height * height
+
+
+def _semi_implicit_over(xp: Namespace) -> Function:
+    @xp.jit
+    def integrate(theta, theta_dot, theta_ddot, omega, omega_dot, omega_ddot, dt, stop):
+        omega_dot = omega_dot + dt * omega_ddot
+        theta_dot = theta_dot + dt * theta_ddot
+        theta = xp.maximum(xp.minimum(theta + dt * theta_dot, stop), -stop)
+        return theta, theta_dot, omega + dt * omega_dot, omega_dot
+
+    return integrate
+
+
+def _explicit_euler_over(xp: Namespace) -> Function:
+    @xp.jit
+    def integrate(theta, theta_dot, theta_ddot, omega, omega_dot, omega_ddot, dt, stop):
+        turned = theta + dt * theta_dot
+        theta_dot = xp.where(xp.abs(turned) > stop, 0.0, theta_dot + dt * theta_ddot)
+        theta = xp.maximum(xp.minimum(turned, stop), -stop)
+        return theta, theta_dot, omega + dt * omega_dot, omega_dot + dt * omega_ddot
+
+    return integrate
+
+
+_SEMI_IMPLICIT, _EXPLICIT_EULER = _semi_implicit_over(TORCH), _explicit_euler_over(TORCH)
+
+
+def semi_implicit(*motion: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Rates first, then angles with the new rates, as in the C program: an ``Integrator``.
 
     The handlebar's angle is held at the stop; its rate is not, and winds up.
     """
-    omega_dot = omega_dot + dt * omega_ddot
-    theta_dot = theta_dot + dt * theta_ddot
-    theta = _held(theta + dt * theta_dot, stop)
-    return theta, theta_dot, omega + dt * omega_dot, omega_dot
+    return _SEMI_IMPLICIT(*motion)
 
 
-def explicit_euler(
-    theta: Tensor,
-    theta_dot: Tensor,
-    theta_ddot: Tensor,
-    omega: Tensor,
-    omega_dot: Tensor,
-    omega_ddot: Tensor,
-    dt: float,
-    stop: Scalar,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Angles with the old rates; the handlebar comes to rest at its stop.
+def explicit_euler(*motion: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Angles with the old rates; the handlebar comes to rest at its stop: an ``Integrator``.
 
     After D. Ernst, P. Geurts and L. Wehenkel, "Tree-based batch mode reinforcement learning",
     JMLR 6, 2005.
     """
-    turned = theta + dt * theta_dot
-    theta_dot = torch.where(turned.abs() > stop, 0.0, theta_dot + dt * theta_ddot)
-    return _held(turned, stop), theta_dot, omega + dt * omega_dot, omega_dot + dt * omega_ddot
+    return _EXPLICIT_EULER(*motion)
+
+
+def integrator_over(xp: Namespace, integrate: Integrator) -> Function:
+    """``integrate`` over rows; in torch any one, else NoRows for one that is not of this module."""
+    if xp is TORCH:
+        return integrate
+    chosen: Any = integrate.func if isinstance(integrate, partial) else integrate
+    known: dict[Any, Function] = {
+        semi_implicit: _semi_implicit_over,
+        explicit_euler: _explicit_euler_over,
+    }
+    if chosen not in known:
+        raise NoRows(
+            f"integrate={getattr(chosen, '__name__', chosen)}: over rows there are only"
+            " semi_implicit and explicit_euler"
+        )
+    return known[chosen](xp)
 
 
 def step(
@@ -188,59 +212,61 @@ def step(
     too coarse for headings.  On the CPU an element of a batch comes out with the same digits as
     alone.
     """
-    p = physics
-    # Component-first and contiguous: each component is then one run of memory, and elementwise
-    # functions of it have the same digits for any batch.  What this function returns is laid out
-    # so already, and costs nothing here.
-    components = state.movedim(-1, 0).contiguous()
-    theta, theta_dot, omega, omega_dot, _, psi = components[:6].unbind(0)
-    torque, displacement = action.unbind(-1)
-
-    # With their signs, sin and tan need neither sign(theta) nor abs, and have a derivative at 0.
-    sine = theta.sin()
-    tangent = sine / theta.cos().abs()
-    behind = p.l - p.c
-    centre = tangent / (tangent * tangent * (behind * behind) + p.l * p.l).sqrt()
-    inertia = p.I_B
-    centrifugal = (sine + tangent) * (p.v * p.v * p.M_d * p.r / (p.l * inertia)) + centre * (
-        p.v * p.v * p.M * p.h / inertia
-    )
-    gyroscopic = theta_dot * (p.I_d * p.sigma_dot / inertia)
-    phi = omega + ((displacement + disturbance) / p.h).atan()
-    level = gyroscopic + centrifugal
-    if side_force is not None:
-        level = level - side_force * (p.h / inertia)
-    omega_ddot = phi.sin() * (p.h * p.M * p.g / inertia) - phi.cos() * level
-    precession = omega_dot * (3 * p.sigma_dot)  # I_dv / I_dl = 3
-    spun = torque / (0.5 * p.I_d)
-    theta_ddot = spun + precession if p.true_precession else spun - precession
-
-    theta, theta_dot, omega, omega_dot = integrate(
-        theta, theta_dot, theta_ddot, omega, omega_dot, omega_ddot, dt, p.theta_max
-    )
-
-    # The tyres: new handlebar, old radii and heading.  The half-chord angle takes the sign of the
-    # direction rather than of the handlebar: so does the C program.  All directions are turned
-    # about here (positive to the right), which makes (sin, cos) the way east and north.
-    direction = torch.stack((psi + theta, psi)).neg()
-    chord = (torch.stack((sine, tangent)) * (p.v * dt / (2 * p.l))).abs()
-    direction = direction + direction.sign() * chord.clamp(max=1.0).asin()
-    travel = torch.stack((direction.sin(), direction.cos()), 1) * (p.v * dt)
-    front, back = (components[6:].unflatten(0, (2, 2)) + travel).unbind(0)
-
-    # The tyres drift apart: put the back tyre right.  That leaves the heading as it is.
-    frame = front - back
-    dx, dy = frame.unbind(0)
-    distance = (dx * dx + dy * dy).sqrt()
-    gap = functional.hardshrink(p.l - distance, WHEELBASE_TOLERANCE)
-    back = back - frame * (gap / distance)
-    psi = atan2(-dx, dy, distance)
-
-    rows = (theta, theta_dot, omega, omega_dot, omega_ddot, psi)
-    return torch.cat((torch.stack(rows), front, back)).movedim(0, -1)
+    move = step_over(TORCH, integrate, physics.true_precession, side_force is not None)
+    torque, displacement = unstacked(action)
+    moved = move(unstacked(state), torque, displacement + disturbance, side_force, physics, dt)
+    return stacked(moved, state)
 
 
-def _held(theta: Tensor, stop: Scalar) -> Tensor:
-    if isinstance(stop, Tensor):
-        return torch.maximum(torch.minimum(theta, stop), -stop)
-    return theta.clamp(-stop, stop)
+def step_over(xp: Namespace, integrate: Integrator, true_precession: bool, windy: bool) -> Function:
+    """``step`` over rows: a function of the state, torque, displacement with its disturbance, side
+    force (not looked at unless ``windy``), constants by the names of ``Physics``, and dt.  Raises
+    NoRows (``integrator_over``)."""
+    integrated = integrator_over(xp, integrate)
+    inertia_of, (_, atan2) = xp.jit(_inertia), atan2_over(xp)
+    precession_sign = 1.0 if true_precession else -1.0
+
+    @xp.jit
+    def step(state, torque, displacement, side_force, p, dt):
+        theta, theta_dot, omega, omega_dot, psi = state[0], state[1], state[2], state[3], state[5]
+        # With their signs, sin and tan need neither sign(theta) nor abs and have a derivative at
+        # 0.
+        sine = xp.sin(theta)
+        tangent = sine / xp.abs(xp.cos(theta))
+        behind = p.l - p.c
+        centre = tangent / xp.sqrt(tangent * tangent * (behind * behind) + p.l * p.l)
+        inertia, mass, spin, I_d = inertia_of(p), p.M_c + p.M_p, p.v / p.r, p.M_d * p.r * p.r
+        centrifugal = (sine + tangent) * (p.v * p.v * p.M_d * p.r / (p.l * inertia)) + centre * (
+            p.v * p.v * mass * p.h / inertia
+        )
+        level = theta_dot * (I_d * spin / inertia) + centrifugal
+        if windy:
+            level = level - side_force * (p.h / inertia)
+        phi = omega + xp.atan(displacement / p.h)
+        omega_ddot = xp.sin(phi) * (p.h * mass * p.g / inertia) - xp.cos(phi) * level
+        precession = omega_dot * (3 * spin)  # I_dv / I_dl = 3
+        theta_ddot = torque / (0.5 * I_d) + precession_sign * precession
+        theta, theta_dot, omega, omega_dot = integrated(
+            theta, theta_dot, theta_ddot, omega, omega_dot, omega_ddot, dt, p.theta_max
+        )
+
+        # The tyres: new handlebar, old radii and heading.  The half-chord angle takes the sign of
+        # the direction rather than of the handlebar: so does the C program.  All directions are
+        # turned about here (positive to the right): (sin, cos) is the way east and north.
+        way, half = p.v * dt, p.v * dt / (2 * p.l)
+        front, back = -(psi + theta), -psi
+        front = front + xp.sign(front) * xp.asin(xp.minimum(xp.abs(sine * half), 1.0))
+        back = back + xp.sign(back) * xp.asin(xp.minimum(xp.abs(tangent * half), 1.0))
+        xf, yf = state[6] + xp.sin(front) * way, state[7] + xp.cos(front) * way
+        xb, yb = state[8] + xp.sin(back) * way, state[9] + xp.cos(back) * way
+
+        # The tyres drift apart: put the back tyre right.  That leaves the heading as it is.
+        dx, dy = xf - xb, yf - yb
+        distance = xp.sqrt(dx * dx + dy * dy)
+        gap = p.l - distance
+        share = xp.where(xp.abs(gap) <= WHEELBASE_TOLERANCE, 0.0, gap) / distance
+        psi = atan2(-dx, dy, distance)
+        xb, yb = xb - dx * share, yb - dy * share
+        return theta, theta_dot, omega, omega_dot, omega_ddot, psi, xf, yf, xb, yb
+
+    return step

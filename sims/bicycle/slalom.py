@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,15 +12,23 @@ import torch
 from torch import Tensor
 
 from sims.base import Measure, Outcome, Spec
-from sims.bicycle.bicycle import GOAL_RATE, GOAL_TIME, PATH_LENGTH, Bicycle, angle_to
+from sims.bicycle.bicycle import GOAL_RATE, GOAL_TIME, PATH_LENGTH, Bicycle, Constants
+from sims.rows import TORCH, FallibleRowSim, Function, Namespace, Rows
 
 _GOAL_RADIUS = Bicycle.goal_radius
 _COURSE = 3
 """Components that a full state has for the course."""
+_RUNNING, _FAILED, _SUCCEEDED, _TIMED_OUT = map(int, Outcome)
+
+Course = namedtuple(
+    "Course",
+    (*Constants._fields, "gates", "gate_width", "gate_spacing", "gate_offset", "look_ahead"),
+)
+"""The constants of ``Slalom.rows``."""
 
 
 @dataclass(frozen=True)
-class Slalom(Bicycle):
+class Slalom(Bicycle, FallibleRowSim):
     """Ride through gates, alternately on the left and on the right of a straight line.
 
     The line goes from the start to +x; gate k = 1, 2, ... is across it at x = k ``gate_spacing``,
@@ -90,60 +99,70 @@ class Slalom(Bicycle):
             shortest="",
         )
 
-    def _middle(self, gate: Tensor) -> tuple[Tensor, Tensor]:
-        """Where the middle of the gate after ``gate`` ``[*batch]`` others is, or of the last."""
-        index = gate.clamp(max=self.gates - 1)
-        is_odd = index - 2 * (index / 2).floor()
-        return self.gate_spacing * (index + 1), self.gate_offset * (1 - 2 * is_odd)
+    def _middle(self, xp: Namespace) -> Function:
+        """Where (x, y) the middle of the gate after ``gate`` others is, or of the last, over rows:
+        from (gate, constants)."""
 
-    def _aim(self, components: Tensor) -> Tensor:
-        """How many gates lie before the one that is steered for."""
-        gate = components[self.width]
-        x, _ = self._middle(gate)
-        return gate + (components[6] >= x - self.look_ahead)
+        @xp.jit
+        def middle(gate, c):
+            index = xp.minimum(gate, c.gates - 1)
+            is_odd = index - 2 * xp.floor(index / 2)
+            return c.gate_spacing * (index + 1), c.gate_offset * (1 - 2 * is_odd)
 
-    def _angle(self, components: Tensor) -> Tensor:
-        return angle_to(components, *self._middle(self._aim(components)))
+        return middle
 
-    def initial(self, uniforms: Tensor) -> Tensor:
-        """Start states ``[*batch, k]`` from uniforms ``[*batch, reset_dim]``."""
-        return self._before_the_first(super().initial(uniforms))
+    def _before_aim(self, xp: Namespace) -> Function:
+        """How many gates lie before the one that is steered for: from (x of the front tyre, gates
+        reached, constants)."""
+        middle = self._middle(xp)
 
-    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
-        """``state`` with a new start where ``mask`` ``[*batch]``, unchanged elsewhere."""
-        bicycle = super().restart(state[..., : self.width], mask, uniforms)
-        return torch.where(mask[..., None], self._before_the_first(bicycle), state)
+        @xp.jit
+        def before(front, gate, c):
+            x, _ = middle(gate, c)
+            return gate + xp.as_number(front >= x - c.look_ahead)
 
-    def _before_the_first(self, bicycle: Tensor) -> Tensor:
-        rows = bicycle.movedim(-1, 0)
-        return torch.cat((rows, torch.zeros_like(rows[:_COURSE]))).movedim(0, -1)
+        return before
 
-    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
-        """The state ``dt`` later; action ``[*batch, 2]`` in N m and m; uniforms ``[*batch,
-        disturbance_dim]``."""
-        bicycle = super().step(state[..., : self.width], action, uniforms)
-        rows, course = bicycle.movedim(-1, 0), state.movedim(-1, 0)[self.width :]
-        gate, passed = course[0], course[1]
-        x, y = self._middle(gate)
-        reached = (rows[6] >= x) & (gate < self.gates)
-        between = (rows[7] - y).abs() <= self.gate_width / 2
-        gate, passed = gate + reached, passed + (reached & between)
-        new = torch.cat((rows, torch.stack((gate, passed, gate))))
-        leapt = self._aim(new) != self._aim(state.movedim(-1, 0))
-        return torch.cat((new[:-1], leapt.to(gate.dtype)[None])).movedim(0, -1)
+    def _aim(self, xp: Namespace) -> Function:
+        middle, before, reached = self._middle(xp), self._before_aim(xp), self.width
+        return xp.jit(lambda state, c: middle(before(state[6], state[reached], c), c))
 
-    def stepped(self, state: Tensor) -> Tensor:
-        """Whether the step to ``state`` was one to learn from, bool ``[*batch]``: one gate was
-        steered for throughout."""
-        return state[..., self.width + 2] < 0.5
+    def rows(self, xp: Namespace) -> Rows:
+        """Those of the bicycle, and three rows more for the course."""
+        ride, width = super().rows(xp), self.width
+        move, start, birth = xp.jit(ride.step), xp.jit(ride.start), xp.jit(ride.birth)
+        middle, before, upright = self._middle(xp), self._before_aim(xp), self._upright(xp)
 
-    def outcome(self, state: Tensor) -> Tensor:
-        """``Outcome`` of each ride as int64 ``[*batch]``; a fall is looked for first."""
-        gate, passed = state[..., self.width], state[..., self.width + 1]
-        all_passed = passed > self.gates - 0.5
-        over = torch.where(all_passed, int(Outcome.SUCCEEDED), int(Outcome.TIMED_OUT))
-        running = torch.where(gate > self.gates - 0.5, over, int(Outcome.RUNNING))
-        return torch.where(self.upright(state), running, int(Outcome.FAILED))
+        def step(state, action, uniforms, c):
+            moved = move(state, action, uniforms, c)
+            old, passed = state[width], state[width + 1]
+            x, y = middle(old, c)
+            reached = xp.both(moved[6] >= x, old < c.gates)
+            between = xp.abs(moved[7] - y) <= c.gate_width / 2
+            gate = old + xp.as_number(reached)
+            passed = passed + xp.as_number(xp.both(reached, between))
+            leapt = before(moved[6], gate, c) != before(state[6], old, c)
+            return (*moved, gate, passed, xp.as_number(leapt))
+
+        def outcome(state, c):
+            over = xp.where(state[width + 1] > c.gates - 0.5, _SUCCEEDED, _TIMED_OUT)
+            running = xp.where(state[width] > c.gates - 0.5, over, _RUNNING)
+            return xp.where(upright(state, c), running, _FAILED)
+
+        return replace(
+            ride,
+            constants=Course(
+                *(*ride.constants, float(self.gates), float(self.gate_width)),
+                *map(float, (self.gate_spacing, self.gate_offset, self.look_ahead)),
+            ),
+            width=width + _COURSE,
+            step=step,
+            outcome=outcome,
+            start=lambda state, uniforms, c: (*start(state, uniforms, c), 0.0, 0.0, 0.0),
+            birth=lambda uniforms, c: (*birth(uniforms, c), 0.0, 0.0, 0.0),
+            # Whether one gate was steered for throughout.
+            stepped=lambda state, c: state[width + 2] < 0.5,
+        )
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Figures of finished rides, each ``[*batch]``; seconds ``[*batch]``.
@@ -167,10 +186,11 @@ class Slalom(Bicycle):
         from behind, for the states ``[T, k]`` of one ride so far."""
         from sims.bicycle.picture import frame
 
-        xs, ys = self._middle(torch.arange(self.gates, dtype=torch.float64))
+        middle, constants = self._middle(TORCH), self._rows.constants
+        xs, ys = middle(torch.arange(self.gates, dtype=torch.float64), constants)
         half = self.gate_width / 2
         gates = [
             ((x, y - half), (x, y + half)) for x, y in zip(xs.tolist(), ys.tolist(), strict=True)
         ]
-        x, y = self._middle(trail[-1, self.width].double())
+        x, y = middle(trail[-1, self.width].double(), constants)
         return frame(trail, goal=(float(x), float(y)), gates=gates, **self._hanging(trail))

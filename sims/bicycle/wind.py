@@ -9,10 +9,30 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from sims.normal import normal_quantile
+from sims.normal import normal_quantile_over
+from sims.rows import TORCH, Function, Namespace
+
+
+def gusts_over(xp: Namespace) -> Function:
+    """Gusts over rows: a function of the force (N, positive to the left) and how many steps the
+    gust has left, after the step before, two uniforms, and a Gusts' ``force``, ``steps`` and
+    ``chance``; the same two rows after this step."""
+    quantile = normal_quantile_over(xp)
+
+    @xp.jit
+    def blow(force, left, begins, size, strength, steps, chance):
+        calm = left < 0.5
+        begins = xp.both(calm, begins < chance)
+        kept = force * xp.as_number(xp.negated(calm))
+        force = xp.where(begins, strength * quantile(size), kept)
+        return force, xp.maximum(xp.where(begins, steps, left) - 1, 0.0)
+
+    return blow
+
+
+_BLOW = gusts_over(TORCH)
 
 
 @dataclass(frozen=True)
@@ -42,12 +62,8 @@ class Gusts:
     def blow(self, force: Tensor, left: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         """The force (N, positive to the left) of a step, and how many steps the gust has left after
         it, from those of the step before, all ``[*batch]``, and uniforms ``[2, *batch]``."""
-        begins, size = uniforms.unbind(0)
-        calm = left < 0.5
-        begins = calm & (begins < self.chance)
-        force = torch.where(begins, self.force * normal_quantile(size), force * ~calm)
-        left = torch.where(begins, float(self.steps), left) - 1
-        return force, left.clamp(min=0.0)
+        constants = self.force, float(self.steps), self.chance
+        return _BLOW(force, left, *uniforms.unbind(0), *constants)
 
     def __post_init__(self) -> None:
         """Refuse what no wind does."""
