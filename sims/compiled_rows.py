@@ -6,13 +6,15 @@ numba takes seconds to import: only code that compiles imports this module.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import FunctionType, ModuleType
 from typing import Any, cast
 
 import numba
 import numpy as np
+from numba.core.errors import NumbaError
+from torch import Tensor
 
 from sims.rows import HasRows, Namespace, NoRows, Rows, rows_of
 
@@ -74,7 +76,7 @@ def numba_namespace(key: str) -> Namespace:
             function.__closure__,
         )
         own.__qualname__ = f"{function.__qualname__}_{key}"
-        own.__module__, own.__doc__ = function.__module__, function.__doc__
+        own.__module__, own.__kwdefaults__ = function.__module__, function.__kwdefaults__
         return numba.njit(error_model="numpy", nogil=True, forceinline=True)(own)
 
     # A module: numba looks up its attributes when it compiles, those of other objects it does not.
@@ -82,6 +84,8 @@ def numba_namespace(key: str) -> Namespace:
     vars(namespace).update(
         sin=math.sin,
         cos=math.cos,
+        tan=math.tan,
+        tanh=math.tanh,
         atan=math.atan,
         asin=math.asin,
         sqrt=math.sqrt,
@@ -127,3 +131,33 @@ def compiled(sim: HasRows, key: str) -> Rows:
         if getattr(rows, name) is not None
     }
     return replace(rows, **functions)
+
+
+def first_difference(
+    rows: Rows, member: str, arguments: Sequence[Tensor], wanted: Tensor, tolerance: float = 1e-12
+) -> str | None:
+    """Where the compiled function ``member`` of ``rows`` differs from ``wanted`` ``[b, n]``, or
+    ``[b]`` for one row, by more than ``tolerance`` of 1 + |x|; None if it does not.
+
+    arguments: tensors ``[b, ...]``.  ValueError, one line, where it cannot be compiled.
+    """
+    function = getattr(rows, member)
+    for k in range(len(wanted)):
+        try:
+            got = function(*(tuple(x[k].tolist()) for x in arguments), rows.constants)
+        except NumbaError as error:
+            lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+            raise ValueError(
+                f"{member} cannot be compiled: {' '.join(lines[1:4])} (a function that another one"
+                " calls needs @xp.jit)"
+            ) from error
+        found, right = np.array(got, dtype=float), wanted[k].double().numpy()
+        if found.shape != right.shape:
+            return f"{member} has shape {found.shape} compiled, {right.shape} in torch"
+        close = np.abs(found - right) <= tolerance * (1 + np.abs(right))
+        same = close | (found == right) | (np.isnan(found) & np.isnan(right))
+        if not same.all():
+            place = int(np.argmin(same))
+            values = f"{found.flat[place]!r} compiled, {right.flat[place]!r} in torch"
+            return f"{member}: component {place} is {values}"
+    return None

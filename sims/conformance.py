@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import cast
+from importlib.util import find_spec
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
 from sims.base import Judged, Lasting, Losing, Outcome, Rewarded, Sim, Spec, spec_index
+from sims.rows import NoRows, rows_of
 
 Shape = tuple[int, ...]
 
@@ -20,6 +22,7 @@ def check(
     batches: tuple[Shape, ...] = ((), (1,), (5,)),
     steps: int = 20,
     seed: int = 0,
+    compiled: bool = True,
 ) -> None:
     """Raise an AssertionError that says what is wrong with ``sim``, if anything is.
 
@@ -29,7 +32,11 @@ def check(
     lasts (``sims.base.Lasting``); outcomes; rewards, successes and faults, where offered; measures;
     observations within their periods and bounds; goals constant during an episode.
 
-    ``sim``: a sim, or a function that makes one, for sims with a memory of their own.
+    A sim with ``rows`` (``sims.rows``) is compiled where numba is installed, which takes seconds,
+    and each of its functions held equal to its tensor functions to 1e-12 of 1 + |x|.
+
+    ``sim``: a sim, or a function that makes one, for sims with a memory of their own; ``compiled``:
+    whether rows are compiled.
     """
 
     def make() -> Sim:
@@ -37,6 +44,9 @@ def check(
 
     spec = make().spec
     _check_spec(spec)
+    written = make()
+    if hasattr(written, "rows"):
+        _check_rows(written)
     generator = torch.Generator().manual_seed(seed)
     names: set[str] | None = None
     for batch in batches:
@@ -48,6 +58,8 @@ def check(
     _expect(not missing, spec, f"spec.measures: {missing} not among the measures")
     if (5,) in batches and (1,) in batches:
         _check_singles(make, steps, generator)
+    if compiled and hasattr(written, "rows") and find_spec("numba") is not None:
+        _check_compiled(written, steps, generator)
 
 
 def _check_spec(spec: Spec) -> None:
@@ -216,6 +228,48 @@ def _check_singles(make: Callable[[], Sim], steps: int, generator: torch.Generat
             _expect(same, spec, f"step {t}: row {k} of a batch of 5 has other digits than alone")
             seen = torch.equal(sim.observe(one)[0], sim.observe(all_)[k])
             _expect(seen, spec, f"step {t}: observation of row {k} has other digits than alone")
+
+
+def _check_rows(sim: Any) -> None:
+    try:
+        rows_of(sim)
+    except NoRows:
+        return
+    except ValueError as error:
+        raise AssertionError(f"{sim.spec.name}: {error}") from error
+
+
+def _check_compiled(sim: Any, steps: int, generator: torch.Generator) -> None:
+    # numba takes seconds to import.
+    from sims.compiled_rows import compiled, first_difference
+
+    spec: Spec = sim.spec
+    draws = _Draws(spec, (5,), steps, generator)
+    states = _episode(sim, draws)
+    before, after = torch.cat(states[:-1]), torch.cat(states[1:])
+    moves = (before, torch.cat(draws.actions), torch.cat(draws.disturbances))
+    redrawn = draws.restarts.repeat(steps, 1)
+    everywhere = torch.ones(len(after), dtype=torch.bool)
+    try:
+        rows = compiled(sim, "conformance")
+        pairs: list[tuple[str, tuple[Tensor, ...], Tensor]] = [
+            ("birth", (draws.starts,), states[0])
+            if rows.birth is not None
+            else ("start", (torch.zeros_like(states[0]), draws.starts), states[0]),
+            ("start", (after, redrawn), sim.restart(after, everywhere, redrawn)),
+            ("step", moves, after),
+            ("observe", (after,), sim.observe(after)),
+            ("outcome", (after,), sim.outcome(after)),
+        ]
+        if rows.stepped is not None:
+            pairs.append(("stepped", (after,), sim.stepped(after)))
+        for member, arguments, wanted in pairs:
+            difference = first_difference(rows, member, arguments, wanted)
+            _expect(difference is None, spec, f"rows: {difference}")
+    except NoRows:
+        return
+    except ValueError as error:
+        raise AssertionError(f"{spec.name}: {error}") from error
 
 
 def _of(tensor: Tensor) -> Shape:

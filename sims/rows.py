@@ -39,6 +39,8 @@ class Namespace(Protocol):
 
     sin: Function
     cos: Function
+    tan: Function
+    tanh: Function
     atan: Function
     asin: Function
     sqrt: Function
@@ -100,7 +102,7 @@ def _maximum(a: Row, b: Row) -> Row:
     return torch.maximum(a, b) if isinstance(b, Tensor) else a.clamp(min=b)
 
 
-_ELEMENTWISE = "sin cos atan asin sqrt exp log log1p floor round abs sign isfinite".split()
+_ELEMENTWISE = "sin cos tan tanh atan asin sqrt exp log log1p floor round abs sign isfinite".split()
 
 TORCH = cast(
     Namespace,
@@ -251,16 +253,14 @@ def _try(name: str, rows: Rows, spec: Spec) -> None:
 def joined(xp: Namespace, *functions: Function) -> Function:
     """The function whose tuple is those of ``functions``, all of the same arguments, one after the
     other: numba builds no tuple in a loop."""
-    first, *others = functions
-    if not others:
-        return first
-    rest = joined(xp, *others)
-
-    @xp.jit
-    def both(*arguments: Any) -> tuple[Row, ...]:
-        return first(*arguments) + rest(*arguments)
-
-    return both
+    if len(functions) == 1:
+        return functions[0]
+    if len(functions) > 4:
+        return joined(xp, joined(xp, *functions[:4]), *functions[4:])
+    # Of four, the last of which may add nothing.
+    nothing = xp.jit(lambda *arguments: ())
+    a, b, c, d = (*functions, nothing, nothing, nothing, nothing)[:4]
+    return xp.jit(lambda *s: (*a(*s), *b(*s), *c(*s), *d(*s)))
 
 
 def unstacked(tensor: Tensor) -> tuple[Tensor, ...]:

@@ -440,11 +440,10 @@ class Bicycle(RowSim):
         turned, length = self._turned(xp), self._length(xp)
 
         # What the harder worlds remember: after a step, from the start of a life, from a start on.
-        nothing = xp.jit(lambda *arguments: ())
-        after, born, kept = [nothing], [nothing], [nothing]
+        after, born, kept = [], [], []
         if "factors" in places:
             first, last, factors = len(STATE), len(STATE) + len(DRAWN), factors_over(xp)
-            drawn = last - len(STATE) + 1
+            drawn = 1 + len(DRAWN)
             after.append(xp.jit(lambda state, uniforms, c: state[first:last]))
             born.append(xp.jit(lambda uniforms, c: factors(uniforms[1:drawn], c.spread)))
             kept.append(xp.jit(lambda state: state[first:last]))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
-from sims.base import Outcome, Quantity, Spec, expect_action
-from sims.tasks.integrate import runge_kutta
+from sims.base import Outcome, Quantity, Spec
+from sims.rows import Function, Namespace, Rows, RowSim
+from sims.tasks.integrate import runge_kutta_over
+
+RUNNING, FAILED = int(Outcome.RUNNING), int(Outcome.FAILED)
 
 GRAVITY = 9.82
 """m/s^2."""
@@ -14,7 +16,7 @@ RAIL, LEAN = 2.4, 0.6
 """An episode fails beyond these, m and rad."""
 
 
-class CartPole:
+class CartPole(RowSim):
     """The cart-pole of Deisenroth & Rasmussen ("PILCO", 2011) about upright.
 
     ======== ==================================================================================
@@ -28,8 +30,6 @@ class CartPole:
     A cart of 0.5 kg with friction 0.1 N s/m, a uniform pole of 0.5 kg and 0.5 m; ``push``: a
     constant force on the cart (N) that is not observed.
     """
-
-    traceable = True
 
     def __init__(self, push: float = 0.0, dt: float = 0.02, time_limit: float = 20.0) -> None:
         if not dt > 0:
@@ -52,44 +52,44 @@ class CartPole:
             headline="angle",
         )
 
-    def initial(self, uniforms: Tensor) -> Tensor:
-        """``[*batch, 4]``."""
-        return 0.05 * (2 * uniforms - 1)
+    def rows(self, xp: Namespace) -> Rows:
+        """Two steps of Runge and Kutta's method; constants: push, dt."""
+        start = xp.jit(lambda uniform: 0.05 * (2 * uniform - 1))
+        move = runge_kutta_over(xp, _derivative_over(xp), 4, 2)
 
-    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
-        """A new start where ``mask``."""
-        return torch.where(mask.unsqueeze(-1), self.initial(uniforms), state)
+        def outcome(s, c):
+            within = xp.both(xp.abs(s[0]) <= RAIL, xp.abs(s[2]) <= LEAN)
+            return xp.where(within, RUNNING, FAILED)
 
-    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
-        """Two steps of Runge and Kutta's method."""
-        expect_action(state, action, 1)
-        force = action[..., 0] + self.push
-        return runge_kutta(lambda s: _derivative(s, force), state, self.spec.dt, 2)
-
-    def observe(self, state: Tensor) -> Tensor:
-        """All of the state."""
-        return state
-
-    def outcome(self, state: Tensor) -> Tensor:
-        """``FAILED`` beyond the rail or the lean."""
-        within = (state[..., 0].abs() <= RAIL) & (state[..., 2].abs() <= LEAN)
-        return torch.where(within, int(Outcome.RUNNING), int(Outcome.FAILED))
+        return Rows(
+            width=4,
+            step=lambda s, action, uniforms, c: move(s, action[0] + c[0], c[1]),
+            observe=lambda s, c: s,
+            outcome=outcome,
+            start=lambda s, u, c: (start(u[0]), start(u[1]), start(u[2]), start(u[3])),
+            constants=(float(self.push), float(self.spec.dt)),
+        )
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """None."""
         return {}
 
 
-def _derivative(state: Tensor, force: Tensor) -> Tensor:
-    """ds/dt ``[*batch, 4]``; force ``[*batch]``, N."""
+def _derivative_over(xp: Namespace) -> Function:
+    """ds/dt from the state and the force, N."""
     cart, pole, length, friction = 0.5, 0.5, 0.5, 0.1
-    _, speed, angle, rate = state.unbind(-1)
-    sin, cos = angle.sin(), angle.cos()
-    pull = force - friction * speed
-    spin = pole * length * rate.square() * sin
-    inertia = 4 * (cart + pole) - 3 * pole * cos.square()
-    speed_rate = (-2 * spin + 3 * pole * GRAVITY * sin * cos + 4 * pull) / inertia
-    rate_rate = (-3 * spin * cos + 6 * (cart + pole) * GRAVITY * sin + 6 * pull * cos) / (
-        length * inertia
-    )
-    return torch.stack([speed, speed_rate, rate, rate_rate], dim=-1)
+
+    @xp.jit
+    def derivative(state, force):
+        _, speed, angle, rate = state
+        sin, cos = xp.sin(angle), xp.cos(angle)
+        pull = force - friction * speed
+        spin = pole * length * (rate * rate) * sin
+        inertia = 4 * (cart + pole) - 3 * pole * (cos * cos)
+        speed_rate = (-2 * spin + 3 * pole * GRAVITY * sin * cos + 4 * pull) / inertia
+        rate_rate = (-3 * spin * cos + 6 * (cart + pole) * GRAVITY * sin + 6 * pull * cos) / (
+            length * inertia
+        )
+        return speed, speed_rate, rate, rate_rate
+
+    return derivative

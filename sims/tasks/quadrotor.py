@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
-import torch
 from torch import Tensor
 
-from sims.base import Outcome, Quantity, Spec, expect_action
-from sims.tasks.integrate import runge_kutta
+from sims.base import Outcome, Quantity, Spec
+from sims.rows import Function, Namespace, Rows, RowSim, joined
+from sims.tasks.integrate import runge_kutta_over
+
+RUNNING, FAILED = int(Outcome.RUNNING), int(Outcome.FAILED)
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -19,10 +21,8 @@ TORQUES = (0.1, 0.1, 0.05)
 FAR, TILT = 2.0, math.pi / 3
 """It crashes beyond these, m in each direction, and rad of roll or pitch."""
 
-_POSITION, _SPEED, _ANGLE, _RATE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 
-
-class Quadrotor:
+class Quadrotor(RowSim):
     """A rigid body of 1 kg with a thrust along its axis and three torques.
 
     ======== ==================================================================================
@@ -33,8 +33,6 @@ class Quadrotor:
     end      crash beyond 2 m in a direction, or 60 degrees of roll or pitch
     ======== ==================================================================================
     """
-
-    traceable = True
 
     def __init__(
         self, most_thrust: float = 2.0, dt: float = 0.02, time_limit: float = 10.0
@@ -68,50 +66,55 @@ class Quadrotor:
             headline="z",
         )
 
-    def initial(self, uniforms: Tensor) -> Tensor:
-        """``[*batch, 12]``."""
-        size = torch.tensor([0.1] * 3 + [0.05] * 9, dtype=uniforms.dtype, device=uniforms.device)
-        return size * (2 * uniforms - 1)
+    def rows(self, xp: Namespace) -> Rows:
+        """Two steps of Runge and Kutta's method; constants: dt."""
 
-    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
-        """A new start where ``mask``."""
-        return torch.where(mask.unsqueeze(-1), self.initial(uniforms), state)
+        def started(i: int) -> Function:
+            size = 0.1 if i < 3 else 0.05
+            return xp.jit(lambda s, u, c: (size * (2 * u[i] - 1),))
 
-    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
-        """Two steps of Runge and Kutta's method."""
-        expect_action(state, action, 4)
-        return runge_kutta(lambda s: _derivative(s, action), state, self.spec.dt, 2)
+        move = runge_kutta_over(xp, _derivative_over(xp), 12, 2)
 
-    def observe(self, state: Tensor) -> Tensor:
-        """All of the state."""
-        return state
+        def outcome(s, c):
+            near = xp.both(xp.abs(s[0]) <= FAR, xp.abs(s[1]) <= FAR)
+            level = xp.both(xp.abs(s[6]) <= TILT, xp.abs(s[7]) <= TILT)
+            near = xp.both(near, xp.abs(s[2]) <= FAR)
+            return xp.where(xp.both(near, level), RUNNING, FAILED)
 
-    def outcome(self, state: Tensor) -> Tensor:
-        """``FAILED`` where it is too far away or too tilted."""
-        near = (state[..., _POSITION].abs() <= FAR).all(-1)
-        level = (state[..., 6:8].abs() <= TILT).all(-1)
-        return torch.where(near & level, int(Outcome.RUNNING), int(Outcome.FAILED))
+        return Rows(
+            width=12,
+            step=lambda s, action, uniforms, c: move(s, action, c[0]),
+            observe=lambda s, c: s,
+            outcome=outcome,
+            start=joined(xp, *(started(i) for i in range(12))),
+            constants=(float(self.spec.dt),),
+        )
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """None."""
         return {}
 
 
-def _derivative(state: Tensor, action: Tensor) -> Tensor:
-    """ds/dt ``[*batch, 12]``: Newton's and Euler's equations, roll-pitch-yaw angles; action
-    ``[*batch, 4]``."""
-    roll, pitch, yaw = state[..., _ANGLE].unbind(-1)
-    p, q, r = state[..., _RATE].unbind(-1)
-    sr, cr, sp, cp = roll.sin(), roll.cos(), pitch.sin(), pitch.cos()
-    sy, cy = yaw.sin(), yaw.cos()
-    axis = torch.stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr], dim=-1)
-    down = torch.tensor([0.0, 0.0, -GRAVITY], dtype=state.dtype, device=state.device)
-    acceleration = axis * action[..., :1] + down
-    turning = q * sr + r * cr
-    angles = torch.stack([p + turning * pitch.tan(), q * cr - r * sr, turning / cp], dim=-1)
-    inertia = torch.tensor(INERTIA, dtype=state.dtype, device=state.device)
-    rate = state[..., _RATE]
-    gyroscopic = torch.linalg.cross(rate, inertia * rate)
-    return torch.cat(
-        [state[..., _SPEED], acceleration, angles, (action[..., 1:] - gyroscopic) / inertia], dim=-1
-    )
+def _derivative_over(xp: Namespace) -> Function:
+    """ds/dt from state and action: Newton's and Euler's equations, roll-pitch-yaw angles."""
+    i_x, i_y, i_z = INERTIA
+
+    @xp.jit
+    def derivative(state, action):
+        _, _, _, vx, vy, vz, roll, pitch, yaw, p, q, r = state
+        thrust, about_x, about_y, about_z = action
+        sr, cr, sp, cp = xp.sin(roll), xp.cos(roll), xp.sin(pitch), xp.cos(pitch)
+        sy, cy = xp.sin(yaw), xp.cos(yaw)
+        turning = q * sr + r * cr
+        return (
+            *(vx, vy, vz),
+            (cy * sp * cr + sy * sr) * thrust,
+            (sy * sp * cr - cy * sr) * thrust,
+            cp * cr * thrust - GRAVITY,
+            *(p + turning * xp.tan(pitch), q * cr - r * sr, turning / cp),
+            (about_x - (q * (i_z * r) - r * (i_y * q))) / i_x,
+            (about_y - (r * (i_x * p) - p * (i_z * r))) / i_y,
+            (about_z - (p * (i_y * q) - q * (i_x * p))) / i_z,
+        )
+
+    return derivative

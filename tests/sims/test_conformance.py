@@ -57,11 +57,12 @@ SIMS: dict[str, Callable[[], Sim]] = {
 
 @pytest.mark.parametrize("name", SIMS)
 def test_every_sim_conforms(name: str) -> None:
-    check(SIMS[name])
+    # Compiled: test_rows.
+    check(SIMS[name], compiled=False)
 
 
 def test_one_object_conforms_too() -> None:
-    check(Bicycle())
+    check(Bicycle(), compiled=False)
     check(GymnasiumSim("Pendulum-v1"), batches=((1,), (5,)))
 
 
