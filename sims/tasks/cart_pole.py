@@ -55,7 +55,7 @@ class CartPole(RowSim):
     def rows(self, xp: Namespace) -> Rows:
         """Two steps of Runge and Kutta's method; constants: push, dt."""
         start = xp.jit(lambda uniform: 0.05 * (2 * uniform - 1))
-        move = runge_kutta_over(xp, _derivative_over(xp), 4, 2)
+        move = runge_kutta_over(xp, derivative_over(xp), 4, 2)
 
         def outcome(s, c):
             within = xp.both(xp.abs(s[0]) <= RAIL, xp.abs(s[2]) <= LEAN)
@@ -75,7 +75,7 @@ class CartPole(RowSim):
         return {}
 
 
-def _derivative_over(xp: Namespace) -> Function:
+def derivative_over(xp: Namespace) -> Function:
     """ds/dt from the state and the force, N."""
     cart, pole, length, friction = 0.5, 0.5, 0.5, 0.1
 

@@ -73,7 +73,7 @@ class Quadrotor(RowSim):
             size = 0.1 if i < 3 else 0.05
             return xp.jit(lambda s, u, c: (size * (2 * u[i] - 1),))
 
-        move = runge_kutta_over(xp, _derivative_over(xp), 12, 2)
+        move = runge_kutta_over(xp, derivative_over(xp), 12, 2)
 
         def outcome(s, c):
             near = xp.both(xp.abs(s[0]) <= FAR, xp.abs(s[1]) <= FAR)
@@ -95,7 +95,7 @@ class Quadrotor(RowSim):
         return {}
 
 
-def _derivative_over(xp: Namespace) -> Function:
+def derivative_over(xp: Namespace) -> Function:
     """ds/dt from state and action: Newton's and Euler's equations, roll-pitch-yaw angles."""
     i_x, i_y, i_z = INERTIA
 

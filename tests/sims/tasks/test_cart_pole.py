@@ -8,7 +8,8 @@ from torch import Tensor
 from torch.func import grad, hessian, jacrev
 
 from sims.base import Outcome
-from sims.tasks.cart_pole import CartPole, _derivative
+from sims.rows import TORCH
+from sims.tasks.cart_pole import CartPole, derivative_over
 
 CART, POLE, LENGTH, FRICTION, G = 0.5, 0.5, 0.5, 0.1, 9.82
 
@@ -32,7 +33,7 @@ def test_lagranges_equations() -> None:
         mixed = jacrev(grad(_lagrangian, 1), 0)(q, dq)
         given = torch.stack([force - FRICTION * speed, torch.zeros_like(force)])
         expected = torch.linalg.solve(mass, given + grad(_lagrangian, 0)(q, dq) - mixed @ dq)
-        found = _derivative(torch.stack([position, speed, angle, rate]), force)
+        found = torch.stack(derivative_over(TORCH)((position, speed, angle, rate), force))
         torch.testing.assert_close(found[[1, 3]], expected, rtol=1e-10, atol=1e-10)
         assert found[0] == speed and found[2] == rate
 

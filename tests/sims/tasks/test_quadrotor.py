@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from sims.base import Outcome
-from sims.tasks.quadrotor import GRAVITY, INERTIA, Quadrotor, _derivative
+from sims.rows import TORCH, stacked, unstacked
+from sims.tasks.quadrotor import GRAVITY, INERTIA, Quadrotor, derivative_over
 
 NOTHING = torch.zeros(0).double()
 
@@ -57,7 +58,8 @@ def test_thrust_pushes_along_the_bodys_axis() -> None:
     state = torch.zeros(3, 12).double()
     state[1, 6] = state[2, 7] = math.pi / 6
     action = torch.tensor([10.0, 0, 0, 0]).double().expand(3, 4)
-    push = _derivative(state, action)[:, 3:6] + torch.tensor([0, 0, GRAVITY])
+    moved = stacked(derivative_over(TORCH)(unstacked(state), unstacked(action)), state)
+    push = moved[:, 3:6] + torch.tensor([0, 0, GRAVITY])
     expected = [[0, 0, 10], [0, -5, 10 * math.cos(math.pi / 6)], [5, 0, 10 * math.cos(math.pi / 6)]]
     torch.testing.assert_close(push, torch.tensor(expected).double())
 
