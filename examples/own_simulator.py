@@ -1,14 +1,16 @@
-"""A simulator of one's own, as functions of tensors: a population of learners in one process.
+"""A simulator of one's own, written once over rows: a population of learners in one process.
 
 python examples/own_simulator.py
 """
 
-import torch
 from torch import Tensor
 
 import edtorch
 from sims.base import Outcome, Quantity, Spec
 from sims.conformance import check
+from sims.rows import Namespace, Rows, RowSim
+
+FAILED, RUNNING = int(Outcome.FAILED), int(Outcome.RUNNING)
 
 SPEC = Spec(
     name="pole",
@@ -27,35 +29,31 @@ SPEC = Spec(
 )
 
 
-class Pole:
+class Pole(RowSim):
     """Hold a pole of one metre upright by a torque; it has fallen beyond 0.6 rad."""
 
     spec = SPEC
-    traceable = True
 
-    def initial(self, uniforms: Tensor) -> Tensor:
-        """Start states ``[*batch, 2]`` from uniforms ``[*batch, 2]`` in [0, 1)."""
-        return 0.1 * (2 * uniforms - 1)
+    def rows(self, xp: Namespace) -> Rows:
+        """Its functions, written once: torch runs them batched, numba compiles them."""
 
-    def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
-        """New starts where ``mask`` ``[*batch]``."""
-        return torch.where(mask.unsqueeze(-1), self.initial(uniforms), state)
+        def step(state, action, uniforms, constants):
+            """The state one tick later."""
+            angle, rate = state
+            push = action[0] + 2 * (2 * uniforms[0] - 1)
+            rate = rate + 0.02 * (9.81 * xp.sin(angle) + push)
+            return angle + 0.02 * rate, rate
 
-    def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
-        """The state one tick later."""
-        angle, rate = state.unbind(-1)
-        push = action[..., 0] + 2 * (2 * uniforms[..., 0] - 1)
-        rate = rate + 0.02 * (9.81 * angle.sin() + push)
-        return torch.stack([angle + 0.02 * rate, rate], dim=-1)
+        def start(state, uniforms, constants):
+            return 0.1 * (2 * uniforms[0] - 1), 0.1 * (2 * uniforms[1] - 1)
 
-    def observe(self, state: Tensor) -> Tensor:
-        """All of the state."""
-        return state
-
-    def outcome(self, state: Tensor) -> Tensor:
-        """FAILED where it has fallen."""
-        fallen = state[..., 0].abs() > 0.6
-        return torch.where(fallen, int(Outcome.FAILED), int(Outcome.RUNNING))
+        return Rows(
+            width=2,
+            step=step,
+            observe=lambda state, constants: state,
+            outcome=lambda state, constants: xp.where(xp.abs(state[0]) > 0.6, FAILED, RUNNING),
+            start=start,
+        )
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Where an episode ended."""
