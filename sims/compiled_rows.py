@@ -13,7 +13,6 @@ from typing import Any, cast
 
 import numba
 import numpy as np
-from numba.core.errors import NumbaError
 from torch import Tensor
 
 from sims.rows import HasRows, Namespace, NoRows, Rows, rows_of
@@ -145,10 +144,12 @@ def first_difference(
     for k in range(len(wanted)):
         try:
             got = function(*(tuple(x[k].tolist()) for x in arguments), rows.constants)
-        except NumbaError as error:
+        except Exception as error:
+            # Of numba's own kinds, and assertions of its passes.
             lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+            reason = " ".join(lines[1:4]) or f"{type(error).__name__} {error}".strip()
             raise ValueError(
-                f"{member} cannot be compiled: {' '.join(lines[1:4])} (a function that another one"
+                f"{member} cannot be compiled: {reason} (a function that another one"
                 " calls needs @xp.jit)"
             ) from error
         found, right = np.array(got, dtype=float), wanted[k].double().numpy()

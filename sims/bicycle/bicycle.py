@@ -32,7 +32,7 @@ from sims.bicycle.physics import (
     step_over,
 )
 from sims.bicycle.wind import Gusts, gusts_over
-from sims.rows import TORCH, Function, Namespace, Rows, RowSim, joined, unstacked
+from sims.rows import TORCH, Function, Namespace, Rows, RowSim, unstacked
 
 __all__ = [
     "GOAL",
@@ -371,15 +371,21 @@ class Bicycle(RowSim):
 
     def _own(self, xp: Namespace) -> Function:
         """The constants of a bicycle over rows, from (state, constants)."""
-        own = xp.jit(lambda state, c: c)
-        if "age" in self._places:
-            age, changed = self._places["age"].start, changed_over(xp)
-            own = xp.jit(lambda state, c: changed(state[age], c))
-        if "factors" not in self._places:
-            return own
-        first, times = self._places["factors"].start, xp.jit(multiplied)
-        last = first + len(DRAWN)
-        return xp.jit(lambda state, c: times(own(state, c), state[first:last]))
+        changes, drawn = (name in self._places for name in ("age", "factors"))
+        first, last = len(STATE), len(STATE) + len(DRAWN)
+        clock = first + len(self.lasting) - 1
+        changed, times = changed_over(xp), xp.jit(multiplied)
+
+        @xp.jit
+        def own(state, c):
+            physics = c
+            if changes:
+                physics = changed(state[clock], c)
+            if drawn:
+                physics = times(physics, state[first:last])
+            return physics
+
+        return own
 
     def _aim(self, xp: Namespace) -> Function:
         """Where the rider steers for over rows, from (state, constants)."""
@@ -397,25 +403,6 @@ class Bicycle(RowSim):
             return xp.both(xp.abs(state[2]) <= c.omega_max, xp.isfinite(total))
 
         return upright
-
-    def _turned(self, xp: Namespace) -> Function:
-        """Handlebar and lean at a start over rows, from (uniforms, constants)."""
-        if not self._is_off_balance:
-            return xp.jit(lambda uniforms, c: (0.0, 0.0))
-        lean, bar = self._reset_dim - 2, self._reset_dim - 1
-        return xp.jit(
-            lambda uniforms, c: (
-                c.start_handlebar * (2 * uniforms[bar] - 1),
-                c.start_lean * (2 * uniforms[lean] - 1),
-            )
-        )
-
-    def _length(self, xp: Namespace) -> Function:
-        """The wheelbase at a start over rows, from (what is remembered, constants)."""
-        if "factors" not in self._places:
-            return xp.jit(lambda memory, c: c.l)
-        place = DRAWN.index("l")
-        return xp.jit(lambda memory, c: c.l * memory[place])
 
     def _constants(self) -> tuple[Any, ...]:
         """Of ``rows``."""
@@ -437,69 +424,71 @@ class Bicycle(RowSim):
         move = step_over(xp, self.integrate, self.physics.true_precession, windy)
         own, upright = self._own(xp), self._upright(xp)
         aim, angle_to = self._aim(xp), angle_to_over(xp)
-        turned, length = self._turned(xp), self._length(xp)
-
-        # What the harder worlds remember: after a step, from the start of a life, from a start on.
-        after, born, kept = [], [], []
-        if "factors" in places:
-            first, last, factors = len(STATE), len(STATE) + len(DRAWN), factors_over(xp)
-            drawn = 1 + len(DRAWN)
-            after.append(xp.jit(lambda state, uniforms, c: state[first:last]))
-            born.append(xp.jit(lambda uniforms, c: factors(uniforms[1:drawn], c.spread)))
-            kept.append(xp.jit(lambda state: state[first:last]))
-        if "age" in places:
-            age = places["age"].start
-            after.append(xp.jit(lambda state, uniforms, c: (state[age] + 1,)))
-            born.append(xp.jit(lambda uniforms, c: (0.0,)))
-            kept.append(xp.jit(lambda state: (state[age],)))
-        if windy:
-            force, blow = places["gust"].start, gusts_over(xp)
-
-            @xp.jit
-            def blown(state, uniforms, c):
-                before, left = state[force], state[force + 1]
-                given = c.gust, c.gust_steps, c.gust_chance
-                return blow(before, left, uniforms[1], uniforms[2], *given)
-
-            after.append(blown)
-            born.append(xp.jit(lambda uniforms, c: (0.0, 0.0)))
-            kept.append(xp.jit(lambda state: (0.0, 0.0)))
-        remembered, begun, lasting = joined(xp, *after), joined(xp, *born), joined(xp, *kept)
-        side_force = xp.jit((lambda memory: memory[-2]) if windy else (lambda memory: 0.0))
+        factors, blow = factors_over(xp), gusts_over(xp)
+        # Options, and where things are: numba leaves out what is not true of a world.
+        drawn, changes, off_balance = "factors" in places, "age" in places, self._is_off_balance
+        first, last = len(STATE), len(STATE) + len(self.lasting)
+        clock, gust, end = last - 1, last, 1 + len(DRAWN)
+        calm, accelerations = (0.0, 0.0), self.lean_acceleration
+        lean, bar, l = self._reset_dim - 2, self._reset_dim - 1, DRAWN.index("l")  # noqa: E741
 
         def step(state, action, uniforms, c):
             displacement = action[1] + (uniforms[0] * (2 * c.noise) - c.noise)
-            memory = remembered(state, uniforms, c)
-            force = side_force(memory)
-            return move(state, action[0], displacement, force, own(state, c), c.dt) + memory
+            memory, force = state[first:last], 0.0
+            if changes:
+                age = (state[clock] + 1,)
+                memory = state[first:clock] + age
+            if windy:
+                blown = blow(
+                    *(state[gust], state[gust + 1], uniforms[1], uniforms[2]),
+                    *(c.gust, c.gust_steps, c.gust_chance),
+                )
+                memory, force = memory + blown, blown[0]
+            moved = move(state, action[0], displacement, force, own(state, c), c.dt)
+            return (*moved, *memory)
 
         @xp.jit
-        def placed(memory, uniforms, c):
-            theta, omega = turned(uniforms, c)
+        def placed(lasting, uniforms, c):
+            theta, omega, length = 0.0, 0.0, c.l
+            if off_balance:
+                omega = c.start_lean * (2 * uniforms[lean] - 1)
+                theta = c.start_handlebar * (2 * uniforms[bar] - 1)
+            if drawn:
+                length = length * lasting[l]
+            if windy:
+                lasting = lasting + calm
             psi = c.heading_low + (c.heading_high - c.heading_low) * uniforms[0]
-            l = length(memory, c)  # noqa: E741
-            east, north = -xp.sin(psi) * l, xp.cos(psi) * l
-            return (theta, 0.0, omega, 0.0, 0.0, psi, east, north, 0.0, 0.0, *memory)
+            east, north = -xp.sin(psi) * length, xp.cos(psi) * length
+            return (theta, 0.0, omega, 0.0, 0.0, psi, east, north, 0.0, 0.0, *lasting)
 
-        @xp.jit
+        def birth(uniforms, c):
+            lasting = ()
+            if drawn:
+                lasting = factors(uniforms[1:end], c.spread)
+            if changes:
+                lasting = lasting + calm[:1]
+            return placed(lasting, uniforms, c)
+
         def observe(state, c):
             x, y = aim(state, c)
-            return state[2], state[3], state[0], state[1], angle_to(state, x, y)
+            seen = state[2], state[3], state[0], state[1], angle_to(state, x, y)
+            if accelerations:
+                return (*seen, state[4])
+            return seen
 
         def outcome(state, c):
             east, north = state[6] - GOAL[0], state[7] - GOAL[1]
             arrived = east * east + north * north <= c.goal_radius * c.goal_radius
             return xp.where(upright(state, c), xp.where(arrived, _SUCCEEDED, _RUNNING), _FAILED)
 
-        acceleration = [xp.jit(lambda state, c: (state[4],))] if self.lean_acceleration else []
         return Rows(
             constants=self._constants(),
             width=self.width,
             step=step,
-            observe=joined(xp, observe, *acceleration),
+            observe=observe,
             outcome=outcome,
-            start=lambda state, uniforms, c: placed(lasting(state), uniforms, c),
-            birth=lambda uniforms, c: placed(begun(uniforms, c), uniforms, c),
+            start=lambda state, uniforms, c: placed(state[first:last], uniforms, c),
+            birth=birth,
         )
 
     def upright(self, state: Tensor) -> Tensor:
