@@ -185,6 +185,7 @@ class Sim(Protocol):
 
     A sim whose functions are of tensors alone (no conversions to numbers, no branches on them, no
     libraries) may say so by an attribute ``traceable = True``: its ticks can then be compiled.
+    ``sims.rows.RowSim`` makes these functions from ones of single components.
     """
 
     @property
