@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,6 +32,21 @@ class Draw:
     normal: Tensor
 
 
+def drawn(
+    keys: Sequence[tuple[int, int]], uniforms: int, normals: int, block: int
+) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """The numbers of the ticks ``block`` BLOCK, ..., uniform ``[B, BLOCK, uniforms]`` and standard
+    normal ``[B, BLOCK, normals]``."""
+    uniform = np.empty((len(keys), BLOCK, uniforms))
+    normal = np.empty((len(keys), BLOCK, normals))
+    for row, key in enumerate(keys):
+        word = np.array(key, dtype=np.uint64)
+        generator = np.random.Generator(np.random.Philox(key=word, counter=[0, 0, 0, block]))
+        generator.random(out=uniform[row])
+        generator.standard_normal(out=normal[row])
+    return uniform, normal
+
+
 class Streams:
     """The streams of a population, read tick by tick.
 
@@ -46,7 +62,7 @@ class Streams:
         dtype: torch.dtype = torch.float64,
         device: torch.device | None = None,
     ) -> None:
-        self._keys = [np.array(key, dtype=np.uint64) for key in keys]
+        self._keys = keys
         self._uniforms = uniforms
         self._normals = normals
         self._dtype = dtype
@@ -68,12 +84,7 @@ class Streams:
         return self._uniform[row], self._normal[row]
 
     def _fill(self, block: int) -> None:
-        uniform = np.empty((len(self._keys), BLOCK, self._uniforms))
-        normal = np.empty((len(self._keys), BLOCK, self._normals))
-        for row, key in enumerate(self._keys):
-            generator = np.random.Generator(np.random.Philox(key=key, counter=[0, 0, 0, block]))
-            generator.random(out=uniform[row])
-            generator.standard_normal(out=normal[row])
+        uniform, normal = drawn(self._keys, self._uniforms, self._normals, block)
         self._uniform, self._normal = self._laid_out(uniform), self._laid_out(normal)
         self._block = block
 
@@ -83,7 +94,12 @@ class Streams:
         return turned.to(self._device)
 
 
+def learning_keys(seeds: Sequence[int]) -> list[tuple[int, int]]:
+    """Of the streams of the learners of these seeds."""
+    return [stream_key(seed, Purpose.LEARNING) for seed in seeds]
+
+
 def learning_streams(world: World, seeds: Sequence[int]) -> Streams:
     """What the learners of these seeds draw."""
-    keys = [stream_key(seed, Purpose.LEARNING) for seed in seeds]
-    return Streams(keys, world.uniforms, len(world.spec.action), world.dtype, world.device)
+    keys, normals = learning_keys(seeds), len(world.spec.action)
+    return Streams(keys, world.uniforms, normals, world.dtype, world.device)

@@ -65,14 +65,11 @@ class World:
         self._low = self._tensor([q.low / q.scale for q in action])
         self._high = self._tensor([q.high / q.scale for q in action])
         self.period = self._tensor([q.period / q.scale for q in state])
-        self._farthest = None
-        if unwrap is not None and any(q.period for q in state):
-            farthest = [
-                (0.5 + unwrap / (2 * math.pi)) * q.period / q.scale if q.period else 0.0
-                for q in state
-            ]
-            self._farthest = self._tensor(farthest)
-            self._turns = self._tensor([q.scale / q.period if q.period else 0.0 for q in state])
+        self.unwraps = unwrap is not None and any(q.period for q in state)
+        beyond = 0.0 if unwrap is None else unwrap / (2 * math.pi)
+        farthest = [(0.5 + beyond) * q.period / q.scale for q in state]
+        self.farthest = self._tensor(farthest)
+        self.turns = self._tensor([q.scale / q.period if q.period else 0.0 for q in state])
 
     @property
     def action_middle(self) -> Tensor:
@@ -94,11 +91,6 @@ class World:
         """Uniform numbers that a tick consumes: the disturbances, then those of a restart."""
         return self.spec.disturbance_dim + self.spec.reset_dim
 
-    @property
-    def unwraps(self) -> bool:
-        """Whether angles are counted on, so that an observation needs the one before."""
-        return self._farthest is not None
-
     def initial(self, uniform: Float[Tensor, "*batch u"]) -> Features:
         """Start states of the sim, ``[B, k]``, from a tick's uniforms ``[B, u]``."""
         return self.sim.initial(uniform[..., self.spec.disturbance_dim :].to(torch.float64))
@@ -116,11 +108,11 @@ class World:
     def counted(self, observed: States, before: States | None = None) -> States:
         """``observe`` of what the sim lets a learner see, ``[B, n]`` in physical units."""
         wrapped = (observed / self._state_scale).to(self.dtype)
-        if before is None or self._farthest is None:
+        if before is None or not self.unwraps:
             return wrapped
-        turns = torch.round((before - wrapped) * self._turns)
+        turns = torch.round((before - wrapped) * self.turns)
         counted = wrapped + turns * self.period
-        return torch.where(counted.abs() <= self._farthest, counted, wrapped)
+        return torch.where(counted.abs() <= self.farthest, counted, wrapped)
 
     def clip(self, action: Actions) -> Actions:
         """The scaled action as it acts: within its bounds where the domain clips."""

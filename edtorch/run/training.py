@@ -30,27 +30,37 @@ WATCHED = 16
 
 
 @dataclass(frozen=True)
-class Moment:
-    """What a tick did to the learners ``rows`` of a population, and to padding after them.
+class Ended:
+    """Episodes that ended at one tick, E of them.
 
-    start, begun, episodes, active: as in ``Experience``, before the tick; world ``[B, k]``, earned
-    ``[B]``: as the tick left them, new episodes not yet begun; outcome ``[B]``: an ``Outcome``,
-    RUNNING where no episode has ended.
+    rows: of the learners, rising; begun: tick at which each began; numbers: which one of its
+    learner's it was, from 0; start, final ``[E, k]``: states of the sim; outcome, earned ``[E]``.
+    """
+
+    rows: Sequence[int]
+    begun: Sequence[int]
+    numbers: Sequence[int]
+    start: Tensor
+    final: Tensor
+    outcome: Tensor
+    earned: Tensor
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A tick worth a note.
+
+    passed: states ``[W, k]`` of the first learners, and whether each was active ``[W]``, before new
+    episodes began; None where this tick is not for the trail; ended: None if no episode did.
     """
 
     clock: int
-    rows: slice
-    start: Tensor
-    begun: Tensor
-    episodes: Tensor
-    active: Tensor
-    world: Tensor
-    earned: Tensor
-    outcome: Tensor
+    passed: tuple[Tensor, Tensor] | None
+    ended: Ended | None
 
 
 Note = Callable[[Sequence[Moment]], None]
-"""Takes moments of the same learners, in order."""
+"""Takes moments in the order of their ticks."""
 
 
 class Stage(Protocol):
@@ -73,9 +83,14 @@ class Stage(Protocol):
     def run(self, clock: int, ticks: int, stride: int, note: Note) -> int:
         """Run ticks ``clock + 1`` to ``clock + ticks``, fewer if everybody is done before.
 
-        Notes the ticks at which an episode ended and every ``stride``-th, several of the same
-        learners together, in order.  Returns how many ticks were run.
+        Notes the ticks at which an episode ended and every ``stride``-th, in order.  Returns how
+        many ticks were run.
         """
+        ...
+
+    @property
+    def piece(self) -> int:
+        """Ticks of about a second at most, after which somebody may look whether to stop."""
         ...
 
 
@@ -84,6 +99,8 @@ class Eager:
 
     recorder: is shown every tick, None: nobody is.
     """
+
+    piece = 64
 
     def __init__(
         self,
@@ -95,7 +112,6 @@ class Eager:
         self._tick = tick
         self._streams = streams
         self._recorder = recorder
-        self._everybody = slice(0, len(population.worlds.active))
         self.population = population
 
     @property
@@ -117,22 +133,24 @@ class Eager:
             if self._recorder is not None:
                 self._recorder.add(happened)
             if happened.ended or now % stride == 0:
-                note([self._moment(happened)])
+                note([_moment(happened, trailed=now % stride == 0)])
         return now - clock
 
-    def _moment(self, happened: Happened[LearnerState]) -> Moment:
-        before, after = happened.before, happened.after
-        return Moment(
-            clock=happened.clock,
-            rows=self._everybody,
-            start=before.start,
-            begun=before.begun,
-            episodes=before.episodes,
-            active=before.active,
-            world=after.world,
-            earned=after.earned,
-            outcome=happened.outcome,
-        )
+
+def _moment(happened: Happened[LearnerState], *, trailed: bool) -> Moment:
+    before, after = happened.before, happened.after
+    rows = happened.outcome.nonzero().flatten()
+    ended = Ended(
+        rows=rows.tolist(),
+        begun=before.begun[rows].tolist(),
+        numbers=before.episodes[rows].tolist(),
+        start=before.start[rows],
+        final=after.world[rows],
+        outcome=happened.outcome[rows],
+        earned=after.earned[rows],
+    )
+    passed = (after.world[:WATCHED], before.active[:WATCHED]) if trailed else None
+    return Moment(happened.clock, passed, ended if ended.rows else None)
 
 
 class Training:
@@ -243,16 +261,17 @@ class Training:
         return self.clock - began
 
     def _note(self, moments: Sequence[Moment]) -> None:
-        """Add to trail and episodes what ticks of the same learners did, in their order."""
-        ends: list[tuple[Moment, int, tuple[int, int]]] = []
+        """Add to trail and episodes what happened, in the order of the ticks."""
+        ends: list[tuple[int, Ended]] = []
+        trails: list[tuple[int, int]] = []
         for moment in moments:
-            if moment.rows.start == 0 and moment.clock % self.trail.stride == 0:
-                watched = slice(0, self.trail.size)
-                self.trail.append(moment.world[watched], moment.active[watched])
-            for index in moment.outcome.nonzero().flatten().tolist():
-                ends.append((moment, index, self._cut_trail(moment.rows.start + index)))
+            if moment.passed is not None:
+                self.trail.append(*moment.passed)
+            if moment.ended is not None:
+                ends.append((moment.clock, moment.ended))
+                trails += [self._cut_trail(row) for row in moment.ended.rows]
         if ends:
-            self._record(ends)
+            self._record(ends, trails)
 
     def _cut_trail(self, row: int) -> tuple[int, int]:
         """Where in the trail the episode of a learner was that has just ended."""
@@ -261,20 +280,27 @@ class Training:
         began, self._trail_start[row] = self._trail_start[row], self.trail.position(row)
         return began, self._trail_start[row]
 
-    def _record(self, ends: list[tuple[Moment, int, tuple[int, int]]]) -> None:
-        """Episodes that have ended: when, whose, and where in the trail."""
-        begun = [int(moment.begun[index]) for moment, index, _ in ends]
-        ticks = [moment.clock - first for (moment, _, _), first in zip(ends, begun, strict=True)]
+    def _record(
+        self, ends: Sequence[tuple[int, Ended]], trails: Sequence[tuple[int, int]]
+    ) -> None:
+        """Episodes that have ended, by clock, and where in the trail they are."""
+        every = [each for _, each in ends]
+        begun = [first for each in every for first in each.begun]
+        clocks = [clock for clock, each in ends for _ in each.rows]
+        ticks = [clock - first for clock, first in zip(clocks, begun, strict=True)]
         found = finished(
             self.world,
-            torch.stack([moment.start[index] for moment, index, _ in ends]),
-            torch.stack([moment.world[index] for moment, index, _ in ends]),
+            torch.cat([each.start for each in every]),
+            torch.cat([each.final for each in every]),
             torch.tensor(ticks, device=self.world.device),
-            torch.stack([moment.outcome[index] for moment, index, _ in ends]),
-            torch.stack([moment.earned[index] for moment, index, _ in ends]),
+            torch.cat([each.outcome for each in every]),
+            torch.cat([each.earned for each in every]),
         )
-        for episode, first, (moment, index, trail) in zip(found, begun, ends, strict=True):
-            row, number = moment.rows.start + index, int(moment.episodes[index])
+        rows = [row for each in every for row in each.rows]
+        numbers = [number for each in every for number in each.numbers]
+        for episode, row, number, first, trail in zip(
+            found, rows, numbers, begun, trails, strict=True
+        ):
             if episode is None:
                 self.lost_episodes[row] += 1
                 continue

@@ -1,0 +1,252 @@
+"""Kernels as modules: joined from their text, compiled by numba, kept on disk.
+
+A kernel of a plan is one generated module whose name is a hash of everything that it is made of:
+the text of the kernels, the plan's constants, the code of the simulator's rows and of what they
+close over, numba, and the processor.  So a stale or foreign program is never found, and no two
+programs share the name of a compiled symbol.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import logging
+import os
+import platform
+import shutil
+import sys
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import filelock
+
+import sims.rows
+from sims.rows import TORCH
+
+logger = logging.getLogger("edtorch")
+
+FOLDER = Path(__file__).parent / "kernels"
+COMPILED_ROWS = Path(sims.rows.__file__).with_name("compiled_rows.py")
+TEXTS = ("learn.py", "improve.py", "live.py", "ticks.py")
+_KNOWN = ("torch", "numba", "numpy")
+"""Packages whose functions are what their names say."""
+LEAST_NUMBA = (0, 61)
+"""The first version of numba that is tested."""
+
+
+class Unavailable(RuntimeError):
+    """There is no compiled kernel here; the message is one line that says why."""
+
+
+def cache_folder() -> Path:
+    """Where programs are kept: ``EDTORCH_CACHE``, else ``edtorch`` in the user's cache folder."""
+    named = os.environ.get("EDTORCH_CACHE")
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(named) if named else Path(home) / "edtorch"
+
+
+def numba() -> Any:
+    """The module numba, with SVML off: its sines differ in the last digit from lane to lane.
+
+    Raises Unavailable where it is missing, too old, or has been set up otherwise.
+    """
+    os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
+    try:
+        import numba as found
+    except ImportError as error:
+        raise Unavailable(f"numba cannot be imported ({error}): pip install numba") from error
+    version = tuple(int(part) for part in found.__version__.split(".")[:2])
+    if version < LEAST_NUMBA:
+        least = ".".join(map(str, LEAST_NUMBA))
+        raise Unavailable(f"numba {found.__version__}: expected {least} or newer")
+    if found.config.DISABLE_JIT:
+        raise Unavailable("NUMBA_DISABLE_JIT is set: unset it")
+    if found.config.USING_SVML:
+        raise Unavailable(
+            "numba was imported before edtorch with Intel's SVML: set NUMBA_DISABLE_INTEL_SVML=1"
+        )
+    return found
+
+
+def joined(constants: Mapping[str, object], chosen: Mapping[str, str]) -> str:
+    """The text of a module: the kernels after ``constants``, and the names ``chosen`` of functions
+    among them."""
+    lines = ["import math", "import numpy as np"]
+    lines += [f"{name} = {value!r}" for name, value in sorted(constants.items())]
+    lines += [(FOLDER / name).read_text(encoding="utf-8") for name in TEXTS]
+    lines += [f"{role} = {function}" for role, function in sorted(chosen.items())]
+    return "\n".join(lines) + "\n"
+
+
+def fingerprint(part: object) -> str:
+    """A text that is equal for two functions only if they compute the same: code, constants, and
+    whatever they close over.  Raises Unavailable for what cannot be described."""
+    return "\n".join(_described(part, set()))
+
+
+def _described(part: Any, seen: set[int]) -> Iterator[str]:
+    yield type(part).__qualname__
+    if part is TORCH or isinstance(part, types.BuiltinFunctionType | types.ModuleType | type):
+        yield getattr(part, "__module__", "") or getattr(part, "__name__", "")
+        yield getattr(part, "__qualname__", "")
+    elif isinstance(part, types.FunctionType):
+        yield f"{part.__module__}.{part.__qualname__}"
+        if id(part) not in seen and part.__module__.partition(".")[0] not in _KNOWN:
+            seen.add(id(part))
+            cells = [cell.cell_contents for cell in part.__closure__ or ()]
+            names = [name for name in _names(part.__code__) if name in part.__globals__]
+            called = [(name, part.__globals__[name]) for name in names]
+            yield from _described([part.__code__, part.__defaults__, cells, called], seen)
+    elif isinstance(part, types.CodeType):
+        yield f"{part.co_code.hex()} {part.co_names}"
+        yield from _described(part.co_consts, seen)
+    elif isinstance(part, tuple | list):
+        for each in part:
+            yield from _described(each, seen)
+    elif part is None or isinstance(part, bool | int | float | complex | str | bytes):
+        yield repr(part)
+    elif hasattr(part, "__dataclass_fields__"):
+        yield from _described([getattr(part, name) for name in part.__dataclass_fields__], seen)
+    else:
+        raise Unavailable(
+            f"{type(part).__name__}: expected functions, numbers, texts and tuples in what a"
+            " simulator's rows close over"
+        )
+
+
+def _names(code: types.CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _names(constant)
+
+
+def _machine() -> str:
+    """What a program is compiled by and for."""
+    from llvmlite import binding
+
+    cpu = f"{binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
+    versions = (numba().__version__, importlib.metadata.version("llvmlite"))
+    namespace = hashlib.sha256(COMPILED_ROWS.read_bytes()).hexdigest()
+    return f"{namespace} {versions} {platform.python_version()} {platform.machine()} {cpu}"
+
+
+@dataclass(frozen=True)
+class Source:
+    """text: of the module; key: what else it is made of; parts: what it finds beside its own."""
+
+    text: str
+    key: str
+    parts: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Of the module, and of its folder."""
+        content = "\n".join((self.text, self.key, _machine()))
+        return f"edtorch_{hashlib.sha256(content.encode()).hexdigest()[:24]}"
+
+
+def load(source: Source, entry: str, arguments: Sequence[object], what: str) -> Any:
+    """The function ``entry`` of a module, compiled for arguments like these; from disk if it was
+    compiled before, on this machine or another process of it.
+
+    what: it is called in messages.  Raises Unavailable if it does not compile.
+    """
+    found = numba()
+    signature = tuple(found.typeof(argument) for argument in arguments)
+    folder = cache_folder() / "native" / source.name
+    try:
+        with _locked(folder):
+            return _compiled(source, entry, signature, folder, what)
+    except OSError as error:
+        logger.warning(
+            "EDTORCH_CACHE=%s: cannot be used (%s); kernels are compiled in every process",
+            cache_folder(),
+            error.strerror or error,
+        )
+        return _compiled(source, entry, signature, None, what)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """One process at a time: the others wait, and find what it has compiled."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with filelock.FileLock(folder / "lock"):
+        yield
+
+
+def _compiled(
+    source: Source, entry: str, signature: tuple[Any, ...], folder: Path | None, what: str
+) -> Any:
+    sums = None if folder is None else folder / "sums"
+    if folder is not None and not _is_whole(folder):
+        _clear(folder)
+    if folder is None or not (folder / "sums").exists():
+        logger.info("compiling %s: some 20 s, once", what)
+    try:
+        function = _module(source, folder).__dict__[entry]
+        function.compile(signature)
+    except OSError:
+        raise
+    except Exception as error:
+        # Whatever numba cannot type or lower, and a damaged index: many kinds of exceptions.
+        raise Unavailable(f"{what}: does not compile: {_cause(error)}") from error
+    if folder is not None and sums is not None and not sums.exists():
+        sums.write_text(_sums(folder), encoding="utf-8")
+    return function
+
+
+def _cause(error: Exception) -> str:
+    """The one line of numba's pages that says what is wrong."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    causes = [
+        line for line in lines if "Error: " in line or line.startswith(("Untyped", "Unknown"))
+    ]
+    return (causes or lines or [type(error).__name__])[-1]
+
+
+def _sums(folder: Path) -> str:
+    files = sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".nbi", ".nbc"))
+    return "\n".join(f"{f.name} {hashlib.sha256(f.read_bytes()).hexdigest()}" for f in files)
+
+
+def _is_whole(folder: Path) -> bool:
+    """Whether the files are those that were written."""
+    sums = folder / "sums"
+    return sums.exists() and sums.read_text(encoding="utf-8") == _sums(folder)
+
+
+def _clear(folder: Path) -> None:
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path.name != "lock":
+            path.unlink()
+
+
+def _module(source: Source, folder: Path | None) -> types.ModuleType:
+    name = source.name
+    if name in sys.modules:
+        return sys.modules[name]
+    jit = numba().njit
+    module = types.ModuleType(name)
+    module.__dict__.update(source.parts)
+    module.__dict__["inner"] = jit(error_model="numpy", forceinline=True)
+    module.__dict__["outer"] = jit(error_model="numpy", nogil=True, cache=folder is not None)
+    file = Path(f"<{name}>")
+    if folder is not None:
+        file = folder / f"{name}.py"
+        if not file.exists():
+            file.write_text(source.text, encoding="utf-8")
+    sys.modules[name] = module
+    try:
+        exec(compile(source.text, str(file), "exec"), module.__dict__)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
