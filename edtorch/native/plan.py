@@ -297,7 +297,7 @@ def _command(plan: Plan, learner: Learner) -> None:
 
 
 def _world(plan: Plan, world: World) -> None:
-    sim = world.sim
+    sim: Any = world.sim
     for protocol, what in (
         (Rewarded, "a reward of the simulator's own"),
         (Judged, "a simulator that judges its episodes"),

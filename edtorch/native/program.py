@@ -9,8 +9,8 @@ programs share the name of a compiled symbol.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import importlib.metadata
-import importlib.util
 import logging
 import os
 import platform
@@ -57,7 +57,7 @@ def numba() -> Any:
     """
     os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
     try:
-        import numba as found
+        found: Any = importlib.import_module("numba")
     except ImportError as error:
         raise Unavailable(f"numba cannot be imported ({error}): pip install numba") from error
     version = tuple(int(part) for part in found.__version__.split(".")[:2])

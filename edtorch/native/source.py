@@ -10,11 +10,11 @@ import numpy as np
 
 from edtorch.native.plan import Plan
 from edtorch.native.program import Source, fingerprint, joined
-from sims.base import Sim
+from sims.rows import HasRows
 
 
 def source_of(
-    plan: Plan, sim: Sim, lanes: int
+    plan: Plan, sim: HasRows, lanes: int
 ) -> tuple[Source, np.ndarray[Any, Any], tuple[float, ...]]:
     """The module of a plan, what kernels are given as ``number``, and the simulator's constants.
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from itertools import groupby
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -17,8 +17,9 @@ from edtorch.native.program import load
 from edtorch.native.source import source_of
 from edtorch.run.random import BLOCK, drawn, learning_keys
 from edtorch.run.tick import Population, Tick
-from edtorch.run.training import WATCHED, Ended, Moment, Note
+from edtorch.run.training import WATCHED, Ended, Note, Passed
 from edtorch.types import LearnerState
+from sims.rows import HasRows
 
 LANES = 32
 """Learners of a group, side by side in memory."""
@@ -78,7 +79,9 @@ class Native:
         self._size = len(seeds)
         self._lanes = lanes = lanes_for(plan, self._size) if lanes is None else lanes
         self._layout = Layout.of(population)
-        source, self._number, self._constants = source_of(plan, tick.world.sim, lanes)
+        source, self._number, self._constants = source_of(
+            plan, cast(HasRows, tick.world.sim), lanes
+        )
         places = plan.number()[0]
         self._stride = places["STRIDE"]
         self._width = plan.constants["WIDTH"]
@@ -153,14 +156,19 @@ class Native:
         while clock < began + ticks and not self.done:
             row = (clock + 1) % BLOCK
             count = min(began + ticks - clock, BLOCK - row)
-            if self._pool is None:
-                parts = [self._run(part, clock, count, stride) for part in self._slices]
-            else:
-                parts = list(
-                    self._pool.map(lambda part: self._run(part, clock, count, stride), self._slices)  # noqa: B023
-                )
-            note(list(self._moments(clock, count, stride, parts)))
-            clock += max(done for done, _, _ in parts)
+            share = partial(self._run, clock=clock, count=count, stride=stride)
+            parts = list(
+                map(share, self._slices)
+                if self._pool is None
+                else self._pool.map(share, self._slices)
+            )
+            longest = max(done for done, _, _ in parts)
+            trails = [trail for _, _, own in parts for trail in own]
+            note(
+                self._passed(clock, longest, stride, trails),
+                self._ended([events for _, events, _ in parts]),
+            )
+            clock += longest
         return clock - began
 
     def _run(
@@ -189,37 +197,31 @@ class Native:
         found = np.concatenate(events) if events else part.events[:0]
         return longest, found, trails
 
-    def _moments(
-        self, clock: int, count: int, stride: int, parts: Sequence[tuple[int, Array, list[Array]]]
-    ) -> Iterator[Moment]:
-        events = np.concatenate([events for _, events, _ in parts])
-        events = events[np.lexsort((events[:, 1], events[:, 0]))]
-        ended = {
-            int(at): self._ended(np.stack(list(rows)))
-            for at, rows in groupby(events, key=lambda event: event[0])
-        }
-        longest = max(done for done, _, _ in parts)
-        trail = np.concatenate([each for _, _, trails in parts for each in trails], axis=1)
-        trail = torch.from_numpy(trail[:, : min(WATCHED, self._size)])
-        points = {
-            at: (trail[k, :, :-1], trail[k, :, -1] != 0)
-            for k, at in enumerate(
-                range(clock - clock % stride + stride, clock + longest + 1, stride)
-            )
-        }
-        for at in sorted(ended.keys() | points.keys()):
-            yield Moment(at, points.get(at), ended.get(at))
+    def _passed(
+        self, clock: int, longest: int, stride: int, trails: Sequence[Array]
+    ) -> Passed | None:
+        clocks = range(clock - clock % stride + stride, clock + longest + 1, stride)
+        if not clocks:
+            return None
+        found = np.concatenate(trails, axis=1)[: len(clocks), : min(WATCHED, self._size)]
+        trail = torch.from_numpy(found)
+        return Passed(clocks, trail[..., :-1], trail[..., -1] != 0)
 
-    def _ended(self, events: Array) -> Ended:
-        whole = events[:, 1:5].astype(np.int64)
+    def _ended(self, parts: Sequence[Array]) -> Ended | None:
+        events = np.concatenate(parts)
+        if not len(events):
+            return None
+        events = events[np.lexsort((events[:, 1], events[:, 0]))]
+        whole = events[:, :5].astype(np.int64)
         states = torch.from_numpy(events[:, 6:])
         return Ended(
-            rows=whole[:, 0].tolist(),
-            begun=whole[:, 2].tolist(),
-            numbers=whole[:, 3].tolist(),
+            clocks=whole[:, 0].tolist(),
+            rows=whole[:, 1].tolist(),
+            begun=whole[:, 3].tolist(),
+            numbers=whole[:, 4].tolist(),
             start=states[:, : self._width],
             final=states[:, self._width :],
-            outcome=torch.from_numpy(whole[:, 1].copy()),
+            outcome=torch.from_numpy(whole[:, 2].copy()),
             earned=torch.from_numpy(events[:, 5].copy()),
         )
 

@@ -13,16 +13,16 @@ class Trail:
         self.stride = stride
         self.capacity = capacity
         self.size = world.shape[0]
-        self._rows = torch.arange(self.size, device=world.device)
         self._ring = torch.zeros(capacity, *world.shape, dtype=world.dtype, device=world.device)
         self._count = torch.zeros(world.shape[0], dtype=torch.int64, device=world.device)
 
-    def append(self, world: Tensor, active: Tensor) -> None:
-        """Add the states of the active learners."""
-        place = self._count % self.capacity
-        kept = self._ring[place, self._rows]
-        self._ring[place, self._rows] = torch.where(active.unsqueeze(-1), world, kept)
-        self._count += active
+    def extend(self, world: Tensor, active: Tensor) -> None:
+        """Add states ``[T, size, k]`` of the learners, where they were active ``[T, size]``."""
+        for part, own in zip(world.split(self.capacity), active.split(self.capacity), strict=True):
+            point, row = own.nonzero(as_tuple=True)
+            place = (self._count + own.cumsum(0) - 1)[point, row] % self.capacity
+            self._ring[place, row] = part[point, row]
+            self._count += own.sum(0)
 
     def position(self, row: int) -> int:
         """How many states of this learner have been added."""

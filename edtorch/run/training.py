@@ -5,6 +5,7 @@ Nothing here writes or prints: the caller of the loop asks it for snapshots and 
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from dataclasses import replace as with_fields
@@ -30,13 +31,28 @@ WATCHED = 16
 
 
 @dataclass(frozen=True)
-class Ended:
-    """Episodes that ended at one tick, E of them.
+class Passed:
+    """States of the first learners, for the trail, T of them in the order of their ticks.
 
-    rows: of the learners, rising; begun: tick at which each began; numbers: which one of its
-    learner's it was, from 0; start, final ``[E, k]``: states of the sim; outcome, earned ``[E]``.
+    clocks: the ticks; world ``[T, W, k]``, before new episodes began; active ``[T, W]``: whether
+    each was within the budget.
     """
 
+    clocks: Sequence[int]
+    world: Tensor
+    active: Tensor
+
+
+@dataclass(frozen=True)
+class Ended:
+    """Episodes that have ended, E of them in the order of their ticks, then of the learners.
+
+    clocks: the ticks; rows: of the learners; begun: tick at which each began; numbers: which one of
+    its learner's it was, from 0; start, final ``[E, k]``: states of the sim; outcome, earned
+    ``[E]``.
+    """
+
+    clocks: Sequence[int]
     rows: Sequence[int]
     begun: Sequence[int]
     numbers: Sequence[int]
@@ -46,21 +62,8 @@ class Ended:
     earned: Tensor
 
 
-@dataclass(frozen=True)
-class Moment:
-    """A tick worth a note.
-
-    passed: states ``[W, k]`` of the first learners, and whether each was active ``[W]``, before new
-    episodes began; None where this tick is not for the trail; ended: None if no episode did.
-    """
-
-    clock: int
-    passed: tuple[Tensor, Tensor] | None
-    ended: Ended | None
-
-
-Note = Callable[[Sequence[Moment]], None]
-"""Takes moments in the order of their ticks."""
+Note = Callable[[Passed | None, Ended | None], None]
+"""Takes what happened in some ticks, later ones at later calls; None for nothing."""
 
 
 class Stage(Protocol):
@@ -132,15 +135,23 @@ class Eager:
             now, self.population = happened.clock, happened.population
             if self._recorder is not None:
                 self._recorder.add(happened)
-            if happened.ended or now % stride == 0:
-                note([_moment(happened, trailed=now % stride == 0)])
+            passed = _passed(happened) if now % stride == 0 else None
+            ended = _ended(happened) if happened.ended else None
+            if passed is not None or ended is not None:
+                note(passed, ended)
         return now - clock
 
 
-def _moment(happened: Happened[LearnerState], *, trailed: bool) -> Moment:
+def _passed(happened: Happened[LearnerState]) -> Passed:
+    world, active = happened.after.world[:WATCHED], happened.before.active[:WATCHED]
+    return Passed([happened.clock], world.unsqueeze(0), active.unsqueeze(0))
+
+
+def _ended(happened: Happened[LearnerState]) -> Ended:
     before, after = happened.before, happened.after
     rows = happened.outcome.nonzero().flatten()
-    ended = Ended(
+    return Ended(
+        clocks=[happened.clock] * len(rows),
         rows=rows.tolist(),
         begun=before.begun[rows].tolist(),
         numbers=before.episodes[rows].tolist(),
@@ -149,8 +160,6 @@ def _moment(happened: Happened[LearnerState], *, trailed: bool) -> Moment:
         outcome=happened.outcome[rows],
         earned=after.earned[rows],
     )
-    passed = (after.world[:WATCHED], before.active[:WATCHED]) if trailed else None
-    return Moment(happened.clock, passed, ended if ended.rows else None)
 
 
 class Training:
@@ -185,7 +194,7 @@ class Training:
         self.stage: Stage = Eager(self.tick, first, streams, recorder)
         watched = first.worlds.world[:WATCHED]
         self.trail = Trail(watched, trail_stride, world.limit_ticks // trail_stride + 2)
-        self.trail.append(watched, first.worlds.active[:WATCHED])
+        self.trail.extend(watched.unsqueeze(0), first.worlds.active[:WATCHED].unsqueeze(0))
         self._trail_start = [0] * self.trail.size
         self._last_tick = (
             None if budget.seconds is None else max(1, round(budget.seconds / world.dt))
@@ -260,46 +269,40 @@ class Training:
             )
         return self.clock - began
 
-    def _note(self, moments: Sequence[Moment]) -> None:
-        """Add to trail and episodes what happened, in the order of the ticks."""
-        ends: list[tuple[int, Ended]] = []
-        trails: list[tuple[int, int]] = []
-        for moment in moments:
-            if moment.passed is not None:
-                self.trail.append(*moment.passed)
-            if moment.ended is not None:
-                ends.append((moment.clock, moment.ended))
-                trails += [self._cut_trail(row) for row in moment.ended.rows]
-        if ends:
-            self._record(ends, trails)
+    def _note(self, passed: Passed | None, ended: Ended | None) -> None:
+        """Add to trail and episodes what happened."""
+        trails = [] if ended is None else self._cut(passed, ended)
+        if passed is not None:
+            self.trail.extend(passed.world, passed.active)
+        if ended is not None:
+            self._record(ended, trails)
 
-    def _cut_trail(self, row: int) -> tuple[int, int]:
-        """Where in the trail the episode of a learner was that has just ended."""
-        if row >= self.trail.size:
-            return 0, 0
-        began, self._trail_start[row] = self._trail_start[row], self.trail.position(row)
-        return began, self._trail_start[row]
+    def _cut(self, passed: Passed | None, ended: Ended) -> list[tuple[int, int]]:
+        """Where in the trail each of the episodes is; passed: what is to be added to it."""
+        found = []
+        for clock, row in zip(ended.clocks, ended.rows, strict=True):
+            if row >= self.trail.size:
+                found.append((0, 0))
+                continue
+            last = self.trail.position(row)
+            if passed is not None:
+                last += int(passed.active[: bisect_right(passed.clocks, clock), row].sum())
+            found.append((self._trail_start[row], last))
+            self._trail_start[row] = last
+        return found
 
-    def _record(
-        self, ends: Sequence[tuple[int, Ended]], trails: Sequence[tuple[int, int]]
-    ) -> None:
-        """Episodes that have ended, by clock, and where in the trail they are."""
-        every = [each for _, each in ends]
-        begun = [first for each in every for first in each.begun]
-        clocks = [clock for clock, each in ends for _ in each.rows]
-        ticks = [clock - first for clock, first in zip(clocks, begun, strict=True)]
+    def _record(self, ended: Ended, trails: Sequence[tuple[int, int]]) -> None:
+        ticks = [clock - first for clock, first in zip(ended.clocks, ended.begun, strict=True)]
         found = finished(
             self.world,
-            torch.cat([each.start for each in every]),
-            torch.cat([each.final for each in every]),
+            ended.start,
+            ended.final,
             torch.tensor(ticks, device=self.world.device),
-            torch.cat([each.outcome for each in every]),
-            torch.cat([each.earned for each in every]),
+            ended.outcome,
+            ended.earned,
         )
-        rows = [row for each in every for row in each.rows]
-        numbers = [number for each in every for number in each.numbers]
         for episode, row, number, first, trail in zip(
-            found, rows, numbers, begun, trails, strict=True
+            found, ended.rows, ended.numbers, ended.begun, trails, strict=True
         ):
             if episode is None:
                 self.lost_episodes[row] += 1

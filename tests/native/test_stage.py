@@ -1,0 +1,92 @@
+"""Compiled ticks: the same lives as tick by tick, whatever the company, lanes and threads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from torch.utils import _pytree as pytree
+
+from edtorch.run.training import Training
+from tests.native.kinds import LINEAR, farthest, lives, native, training_of
+
+AFFINE = (
+    *LINEAR,
+    "model=derivative",
+    "model.features=affine",
+    "policy=affine",
+    "fit=normalised",
+    "transform=first",
+    "step=decaying",
+    "+reward.action.action_0=0.3",
+    "+reward.target.state_0=0.4",
+    "unroll.start=origin",
+    "unroll.start_deviation=0.2",
+    "schedule.every=3",
+)
+PLAIN = (*LINEAR, "model=next_state", "fit=adaptive", "transform=mean_only", "step=saturated")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A cache of this module's own: each kernel is compiled once."""
+    folder = tmp_path_factory.mktemp("kernels")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("EDTORCH_CACHE", str(folder))
+        yield folder
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("kind", [PLAIN, AFFINE], ids=["plain", "affine"])
+def test_compiled_ticks_are_the_same_ticks(kind: tuple[str, ...]) -> None:
+    eager = training_of(*kind, "seeds=20", "train.seconds=1000")
+    together = native(training_of(*kind, "seeds=20", "train.seconds=1000"))
+    for training in (eager, together):
+        training.advance(300)
+    assert together.clock == 300 and len(together.episodes) >= 200
+    assert lives(together) == lives(eager)
+    worst = farthest(together, eager)
+    assert max(worst.values()) < 1e-9, worst
+    for row in (0, 15):
+        kept = [t.trail.states(row, *t.episodes[-1].trail) for t in (together, eager)]
+        assert torch.allclose(*kept, rtol=1e-9, atol=1e-9)
+
+
+def states(training: Training) -> list[torch.Tensor]:
+    return pytree.tree_leaves(training.stage.population)
+
+
+@pytest.mark.oracle
+def test_digits_do_not_depend_on_company_lanes_or_threads() -> None:
+    def grown(*how: str, **options: int) -> Training:
+        training = native(training_of(*PLAIN, "train.seconds=1000", *how), **options)
+        training.advance(200)
+        return training
+
+    wide = grown("seeds=70")
+    alone, one_by_one = grown("seed=37", "seeds=1"), grown("seeds=70", lanes=1)
+    threaded = grown("seeds=70", threads=2)
+    for whole, single, apart, parallel in zip(
+        *map(states, (wide, alone, one_by_one, threaded)), strict=True
+    ):
+        for other in (apart, parallel):
+            assert torch.equal(whole.nan_to_num(), other.nan_to_num())
+        assert torch.equal(whole[37:38].nan_to_num(), single.nan_to_num())
+    assert lives(threaded) == lives(wide) == lives(one_by_one)
+
+
+@pytest.mark.oracle
+def test_learners_stop_with_their_budget_and_pieces_do_not_matter() -> None:
+    budget = (*PLAIN, "seeds=20", "train.seconds=null", "train.episodes=3")
+    eager, whole = training_of(*budget), native(training_of(*budget))
+    pieces = native(training_of(*budget))
+    eager.advance(1000)
+    whole.advance(1000)
+    while not pieces.done:
+        pieces.advance(7)
+    assert lives(whole) == lives(pieces) == lives(eager)
+    assert whole.clock == pieces.clock == eager.clock
+    for left, right in zip(states(whole), states(pieces), strict=True):
+        assert torch.equal(left.nan_to_num(), right.nan_to_num())
