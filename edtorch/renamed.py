@@ -95,9 +95,23 @@ RENAMED_KEYS = {
 """Settings by their former names, which command lines and saved configurations may still use."""
 
 
+_NATIVE = "the compiler is numba now: compute.native=auto|on|off, compute.threads=N"
+REMOVED_KEYS = {
+    "compute.compile": _NATIVE,
+    "compute.compile_after": _NATIVE,
+    "compute.precision": f"everything is computed in float64; {_NATIVE}",
+}
+"""Settings that are gone, with what to say of them: refused where they are typed, and left out of
+saved configurations."""
+
+
 def current_keys(settings: Mapping[str, Any]) -> dict[str, Any]:
     """A configuration, nested, with its settings under their present names."""
     result = {key: dict(v) if isinstance(v, Mapping) else v for key, v in settings.items()}
+    for removed in REMOVED_KEYS:
+        group, _, key = removed.partition(".")
+        if isinstance(result.get(group), dict):
+            result[group].pop(key, None)
     for old, new in RENAMED_KEYS.items():
         (old_group, _, old_key), (group, _, key) = old.partition("."), new.partition(".")
         before = result.get(old_group)

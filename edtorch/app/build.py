@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import torch
+
 from edtorch.app.budget import build_budget, check_ticks
 from edtorch.app.checks import at_least, check_numbers, check_seeds, positive
 from edtorch.app.compute import (
-    Compute,
-    check_machine,
+    check_kernels,
     check_memory,
     check_recording,
-    plan,
-    plan_inverse,
-    uncompiled,
+    device_of,
+    refuse_kernels,
 )
 from edtorch.app.domain import build_sim, changed_domain
 from edtorch.app.errors import ConfigError, under
@@ -25,7 +25,7 @@ from edtorch.app.observation import check_unobserved
 from edtorch.app.policy import policy_card
 from edtorch.app.reward import build_reward
 from edtorch.app.settings import Settings
-from edtorch.learner.learner import AnyLearner, Learner
+from edtorch.learner.learner import AnyLearner
 from edtorch.learner.schedule import Schedule
 from edtorch.run.checkpoint import PolicyCard
 from edtorch.run.episodes import Budget
@@ -39,8 +39,7 @@ class Setup:
     """Everything that a training run is made of.
 
     calm: a new world to evaluate in; schedule: when policies are improved; path: how value and
-    gradient are found, in words; compiled: the same learner as a compiler wants it, None if it is
-    not to be compiled.
+    gradient are found, in words.
     """
 
     learner: AnyLearner
@@ -52,8 +51,6 @@ class Setup:
     card: PolicyCard
     path: str
     indicator: ValueErrorIndicator | None
-    compute: Compute
-    compiled: Learner | None
 
 
 def _check(config: Settings) -> None:
@@ -67,7 +64,6 @@ def _check(config: Settings) -> None:
     at_least("compute.threads", config.compute.threads, 1)
     at_least("log.every", config.log.every, 1)
     at_least("log.checkpoint", config.log.checkpoint, config.log.every)
-    at_least("compute.compile_after", config.compute.compile_after, 0)
 
 
 def build(config: Settings, budget: Budget | None = None) -> Setup:
@@ -84,58 +80,51 @@ def build(config: Settings, budget: Budget | None = None) -> Setup:
     check_ticks(budget, sim.spec.dt)
     if config.log.transitions:
         check_recording(budget, World(sim), config.seeds)
-    if has_inverse(config):
-        return _assemble(config, sim, budget, plan_inverse(config.compute, budget, World(sim)))
-    compute = plan(config.compute, budget, World(sim), config.seeds)
+    device = device_of(config.compute)
     if config.log.transitions:
-        if compute.required:
+        refuse_kernels(config.compute, "log.transitions=true, which are kept tick by tick")
+    if has_inverse(config):
+        refuse_kernels(config.compute, "an inverse model")
+        if device.type != "cpu":
             raise ConfigError(
-                "log.transitions=true: expected compute.compile=auto or off; a compiled tick does"
-                " not say what happened in it"
+                f"compute.device={config.compute.device}: expected cpu with an inverse model"
             )
-        compute = uncompiled(compute, config.compute)
-    setup = _assemble(config, sim, budget, compute)
-    if compute.compiled and setup.compiled is None:
-        if compute.required:
-            raise ConfigError(
-                "compute.compile=on: expected a closed form to compile, but this run takes the "
-                f"{setup.path}"
-            )
-        setup = _assemble(config, sim, budget, uncompiled(compute, config.compute))
-    check_machine(compute)
+    setup = _assemble(config, sim, budget, device)
+    if config.compute.native == "on":
+        check_kernels(setup.learner, setup.world)
     return setup
 
 
-def _assemble(config: Settings, sim: Sim, budget: Budget, compute: Compute) -> Setup:
+def _assemble(config: Settings, sim: Sim, budget: Budget, device: torch.device) -> Setup:
     if config.eval.keep and not config.eval.episodes:
         raise ConfigError(f"eval.keep={config.eval.keep}: expected 0 with eval.episodes=0")
     unwrap = config.observation.unwrap
-    reward = build_reward(config.reward, sim, compute.dtype, compute.device)
+    reward = build_reward(config.reward, sim, torch.float64, device)
     threshold = config.eval.success_return
     with under("observation"):
-        world = World(sim, compute.dtype, compute.device, unwrap, reward, threshold)
+        world = World(sim, torch.float64, device, unwrap, reward, threshold)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     if config.eval.domain:
         build_sim(evaluated, "eval.domain")
-    indicator = compiled = None
+    indicator = None
     unknowns = 1
     if has_inverse(config):
         check_unobserved(config.observation)
-        learner = build_inverse_learner(config, sim, compute.dtype)
+        learner = build_inverse_learner(config, sim)
         check_memory(learner, world, config.seeds)
         path = inverse_path(learner)
     else:
-        forward = build_forward(config, world, compute)
+        forward = build_forward(config, world)
         learner, path = forward.learner, forward.path
         unknowns = forward.learner.model.regressors
-        indicator, compiled = forward.indicator, forward.compiled
+        indicator = forward.indicator
     # Not before the population is known to fit in memory.
     seeds = list(range(config.seed, config.seed + config.seeds))
     card = policy_card(sim, learner.policy, seeds)
 
     def calm() -> World:
         sim = build_sim(evaluated)
-        return World(sim, compute.dtype, compute.device, unwrap, reward, threshold)
+        return World(sim, torch.float64, device, unwrap, reward, threshold)
 
     return Setup(
         learner,
@@ -147,6 +136,4 @@ def _assemble(config: Settings, sim: Sim, budget: Budget, compute: Compute) -> S
         card,
         path,
         indicator,
-        compute,
-        compiled,
     )

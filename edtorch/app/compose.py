@@ -22,7 +22,7 @@ from edtorch.app.overrides import typed, typing
 from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
 from edtorch.beside import ROOT
-from edtorch.renamed import RENAMED_KEYS
+from edtorch.renamed import REMOVED_KEYS, RENAMED_KEYS
 
 _OVERRIDE = re.compile(
     r"(?P<sign>\+\+|\+|~|)(?P<key>[A-Za-z_]\w*(\.[^.=@/]+)*)(?P<rest>=.*|)", re.S
@@ -70,6 +70,8 @@ def _prepared(override: str, keys: set[str]) -> str:
     match = _OVERRIDE.fullmatch(override)
     if match is None or "." not in match["key"] or match["key"].startswith("hydra."):
         return override
+    if match["key"] in REMOVED_KEYS:
+        raise ConfigError(f"{override}: was removed; {REMOVED_KEYS[match['key']]}")
     key = RENAMED_KEYS.get(match["key"], match["key"])
     if key != match["key"] and key in keys:
         raise ConfigError(f"{override}: is now called {key}, which is given as well")

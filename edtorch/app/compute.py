@@ -1,46 +1,33 @@
-"""How a run computes: precision, device, and whether its ticks are compiled."""
+"""How a run computes: device, threads, compiled kernels or not, and whether memory suffices."""
 
 from __future__ import annotations
 
+import logging
 import math
 import os
-from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import torch
 
 from edtorch.app.errors import ConfigError
-from edtorch.compiled.compilation import CannotCompile, CompileMode, check_compiler
 from edtorch.learner.learner import AnyLearner
+from edtorch.native.plan import NoKernel, plan_of
+from edtorch.native.program import Unavailable, numba
+from edtorch.native.stage import Native
 from edtorch.run.episodes import Budget
 from edtorch.run.random import BLOCK
 from edtorch.run.recorder import kept_bytes
 from edtorch.run.scaled_sim import World
+from edtorch.run.tick import Tick
+from edtorch.run.training import Training
 
-PRECISIONS = ("auto", "float64", "mixed")
+logger = logging.getLogger("edtorch")
 
-WORTHWHILE_SECONDS = 150.0
-"""That a run takes uncompiled, about, from which on compiling takes less time than it saves."""
-_TICK, _LEARNER = 1e-3, 2e-5
-"""Seconds that a tick takes uncompiled, and each learner in it besides, about."""
-
-LARGEST_UNCOMPILED = 1024
-"""Learners up to which a run starts uncompiled, to show something while nothing is compiled yet."""
+Mode = Literal["auto", "on", "off"]
+"""Whether kernels are used: where the parts have them, or else it is an error, or never."""
 
 _BYTES = 8
-"""Of a number, at most."""
-
-
-@dataclass(frozen=True)
-class Compute:
-    """dtype: of the learner; device: of everything; compiled: whether its ticks are, if they can
-    be; required: whether it is an error if they cannot; after: the tick from which on."""
-
-    dtype: torch.dtype
-    device: torch.device
-    compiled: bool
-    required: bool
-    after: int
+"""Of a number."""
 
 
 def expected_ticks(budget: Budget, world: World) -> float:
@@ -53,80 +40,60 @@ def expected_ticks(budget: Budget, world: World) -> float:
     return min(limits)
 
 
-def check_choices(config: Any) -> None:
-    """Reject unknown precisions, compile modes and devices."""
-    for name, known in (
-        ("precision", PRECISIONS),
-        ("compile", get_args(CompileMode)),
-        ("device", ("cpu", "cuda")),
-    ):
+def device_of(config: Any) -> torch.device:
+    """From the group ``compute``, the other settings of which are checked too; ConfigError."""
+    for name, known in (("native", get_args(Mode)), ("device", ("cpu", "cuda"))):
         if config[name] not in known:
-            hint = "; mixed is float32 for the learner" if config[name] == "float32" else ""
-            raise ConfigError(
-                f"compute.{name}={config[name]}: expected one of {', '.join(known)}{hint}"
-            )
-
-
-def _device(name: str) -> torch.device:
-    """The device of the run; ConfigError if it is not there."""
-    if name == "cuda" and not torch.cuda.is_available():
+            raise ConfigError(f"compute.{name}={config[name]}: expected one of {', '.join(known)}")
+    if config.device == "cuda" and not torch.cuda.is_available():
         raise ConfigError(
             f"compute.device=cuda: torch {torch.__version__} finds no CUDA device; expected cpu, or"
             " a machine with one and a torch that is built for it"
         )
-    return torch.device(name)
+    return torch.device(config.device)
 
 
-def plan(config: Any, budget: Budget, world: World, learners: int) -> Compute:
-    """From the group ``compute``; raises ConfigError."""
-    check_choices(config)
-    required = config.compile == "on"
-    compiled = required or (
-        config.compile == "auto"
-        and getattr(world.sim, "traceable", False)
-        and expected_ticks(budget, world) * (_TICK + _LEARNER * learners) >= WORTHWHILE_SECONDS
-    )
-    if required:
-        if not getattr(world.sim, "traceable", False):
-            raise ConfigError(
-                "compute.compile=on: expected a domain that can be compiled;"
-                f" {world.spec.name} does not say so of itself (traceable)"
-            )
-    single = config.precision == "mixed" or (config.precision == "auto" and compiled)
-    after = config.compile_after if learners <= LARGEST_UNCOMPILED else 0
-    dtype = torch.float32 if single else torch.float64
-    return Compute(dtype, _device(config.device), compiled, required, after)
+def refuse_kernels(config: Any, what: str) -> None:
+    """ConfigError where kernels are asked for and ``what`` has none."""
+    if config.native == "on":
+        raise ConfigError(f"compute.native=on: expected auto or off with {what}")
 
 
-def check_machine(compute: Compute) -> None:
-    """Refuse a run that has to be compiled where nothing can be; ConfigError.
-
-    Called when the configuration is known to be sound, so that what is wrong with it is said first
-    on every machine.
-    """
-    if compute.required:
-        try:
-            check_compiler()
-        except CannotCompile as error:
-            raise ConfigError(f"compute.compile=on: {error}") from error
-
-
-def uncompiled(compute: Compute, config: Any) -> Compute:
-    """The same without compiling, and in the precision that ``auto`` then stands for."""
-    dtype = torch.float64 if config.precision == "auto" else compute.dtype
-    return replace(compute, dtype=dtype, compiled=False)
-
-
-def plan_inverse(config: Any, budget: Budget, world: World) -> Compute:
-    """``plan`` for learners of inverse models, which are never compiled."""
-    check_choices(config)
-    if config.compile == "on":
+def check_kernels(learner: AnyLearner, world: World) -> None:
+    """ConfigError where there are no kernels for such learners, or nothing can be compiled."""
+    uniform = torch.zeros(1, world.uniforms, dtype=world.dtype)
+    tick = Tick(learner, world)
+    try:
+        plan_of(tick, tick.first(learner.initial([0]), world.initial(uniform)))
+        numba()
+    except NoKernel as error:
         raise ConfigError(
-            "compute.compile=on: expected auto or off with an inverse model, which is not compiled"
-        )
-    if config.device != "cpu":
-        raise ConfigError(f"compute.device={config.device}: expected cpu with an inverse model")
-    return uncompiled(plan(config, budget, world, 1), config)
+            f"compute.native=on: there is no kernel for {error}; expected auto or off"
+        ) from error
+    except Unavailable as error:
+        raise ConfigError(f"compute.native=on: {error}") from error
+
+
+def compiled(training: Training, mode: Mode, threads: int) -> str:
+    """Let a population go on in kernels where its parts have them; says what became of it.
+
+    The kinds of parts alone decide.  Raises ConfigError where kernels are asked for and do not
+    compile.
+    """
+    if mode == "off":
+        return "uncompiled"
+    population, seeds = training.stage.population, training.seeds
+    try:
+        plan = plan_of(training.tick, population)
+        training.stage = Native(plan, training.tick, population, seeds, threads=threads)
+    except NoKernel as error:
+        return f"uncompiled: there is no kernel for {error}"
+    except Unavailable as error:
+        if mode == "on":
+            raise ConfigError(f"compute.native=on: {error}") from error
+        logger.warning("uncompiled, some hundred times slower: %s", error)
+        return "uncompiled"
+    return "compiled"
 
 
 def needed_bytes(learner: AnyLearner, world: World, learners: int) -> int:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import TypeVar, cast, get_args
 
 import torch
 
 from edtorch.app.checks import at_least
-from edtorch.app.compute import Compute, check_memory
+from edtorch.app.compute import check_memory
 from edtorch.app.construct import construct, known_keys
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.limit import build_command, build_exploration, check_start, needs_noise
@@ -36,12 +36,11 @@ DIRECTIONS = ("gradient", "regulator", "equilibrium")
 
 @dataclass(frozen=True)
 class Forward:
-    """A learner with a forward model; path, indicator, compiled: as in ``Setup``."""
+    """A learner with a forward model; path, indicator: as in ``Setup``."""
 
     learner: Learner
     path: str
     indicator: ValueErrorIndicator | None
-    compiled: Learner | None
 
 
 _Part = TypeVar("_Part")
@@ -105,9 +104,9 @@ def _about_equilibrium(
         )
 
 
-def build_forward(config: Settings, world: World, compute: Compute) -> Forward:
+def build_forward(config: Settings, world: World) -> Forward:
     """The learner of a whole configuration, for a world.  Raises ConfigError."""
-    sim, dtype, device = world.sim, compute.dtype, compute.device
+    sim, dtype, device = world.sim, world.dtype, world.device
     model = _moved(build_model(config.model, world, dtype, config.seed), device)
     policy = _moved(build_policy(config.policy, sim, dtype, config.seed), device)
     reward = build_reward(config.reward, sim, dtype, device)
@@ -161,31 +160,27 @@ def build_forward(config: Settings, world: World, compute: Compute) -> Forward:
         )
     except ValueError as error:
         raise ConfigError(f"unroll.path={config.unroll.path}: {error}") from error
-    path, reason, compilable = choice.path, choice.reason, choice.compiled
+    path, reason = choice.path, choice.reason
     if config.unroll.direction not in DIRECTIONS:
         raise ConfigError(
             f"unroll.direction={config.unroll.direction}: expected one of {', '.join(DIRECTIONS)}"
         )
     if config.unroll.direction == "regulator":
         with under("unroll"):
-            path = compilable = Regulator(
-                model, cast(GainedPolicy, policy), reward, horizon, start_cov
-            )
+            path = Regulator(model, cast(GainedPolicy, policy), reward, horizon, start_cov)
         reason = "Riccati recursion on the learned model"
     if config.unroll.direction == "equilibrium":
-        path, compilable = _about_equilibrium(config, world, model, policy, reward, fit), None
+        path = _about_equilibrium(config, world, model, policy, reward, fit)
         reason = "Riccati recursion about the equilibrium of the learned model"
     tracked = tracking(model, policy, reward, transform, horizon)
     if tracked is not None and config.unroll.path == "auto":
-        path, reason, compilable = tracked, "goal-tracking loop, its adjoint written out", None
+        path, reason = tracked, "goal-tracking loop, its adjoint written out"
     if config.unroll.start not in STARTS:
         raise ConfigError(
             f"unroll.start={config.unroll.start}: expected one of {', '.join(STARTS)}"
         )
     if config.unroll.start == "origin":
-        target = target_of(reward)
-        path = FromOrigin(path, target)
-        compilable = None if compilable is None else FromOrigin(compilable, target)
+        path = FromOrigin(path, target_of(reward))
     check_start(config.command, world)
     with under("exploration"):
         learner = Learner(
@@ -201,9 +196,4 @@ def build_forward(config: Settings, world: World, compute: Compute) -> Forward:
         )
     check_memory(learner, world, config.seeds)
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
-    compiled = None
-    if observer is not None:
-        reason, compilable = f"{reason}; estimates of the state, which are not compiled", None
-    if compute.compiled and compilable is not None:
-        compiled = replace(learner, value=compilable)
-    return Forward(learner, reason, indicator, compiled)
+    return Forward(learner, reason, indicator)

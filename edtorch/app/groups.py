@@ -228,14 +228,11 @@ class EvalGroup:
 
 @dataclass(frozen=True)
 class ComputeGroup:
-    """precision: auto, float64 or mixed (learner float32, sim float64); threads: of torch in this
-    process; compile: auto, on or off; compile_after: ticks before learning goes on compiled;
-    device: cpu or cuda."""
+    """native: auto, on or off (``edtorch.native``); threads: of torch in this process, and of
+    kernels; device: cpu or cuda."""
 
-    precision: str = "auto"
+    native: str = "auto"
     threads: int = 1
-    compile: str = "auto"
-    compile_after: int = 500
     device: str = "cpu"
 
 

@@ -116,14 +116,9 @@ def _noise(config: Settings) -> Noise:
     return noise
 
 
-def build_inverse_learner(config: Settings, sim: Sim, dtype: torch.dtype) -> InverseLearner:
+def build_inverse_learner(config: Settings, sim: Sim) -> InverseLearner:
     """The learner, from a whole configuration."""
     controller = build_controller(config.inverse, sim)
-    if dtype != torch.float64:
-        raise ConfigError(
-            f"compute.precision={config.compute.precision}: expected float64 with an inverse model,"
-            " whose sums of products span decades"
-        )
     if config.log.value_error:
         raise ConfigError("log.value_error=true: expected false with an inverse policy")
     for key, value in config.reward.items():

@@ -37,7 +37,8 @@ logger = logging.getLogger("edtorch")
 class Work(ABC):
     """What a job does: learners, learners of recorded transitions, rivals, or a random search.
 
-    title: for people; notes: what to say at the start; seeds: one learner or search each; budget:
+    title: for people; notes: what to say at the start; computed: whether its ticks are compiled,
+    in words; seeds: one learner or search each; budget:
     of each, None where there is none; columns: of ``metrics.csv``; measures: the sim's own that
     ``episodes.csv`` has, None: there is no such file; actor, observer, card: of its policies;
     world: makes one to evaluate them in.
@@ -45,6 +46,7 @@ class Work(ABC):
 
     title: str
     notes: Sequence[str] = ()
+    computed: str = "uncompiled"
     seeds: list[int]
     budget: Budget | None = None
     columns: Sequence[str]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import time
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,8 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from edtorch.app.build import Setup
+from edtorch.app.compute import compiled
 from edtorch.app.domain import described
-from edtorch.app.errors import ConfigError
 from edtorch.app.evaluations import News
 from edtorch.app.job import Job
 from edtorch.app.learning import Learning
@@ -27,9 +26,6 @@ from edtorch.app.summary import (
     summarise,
     summary_table,
 )
-from edtorch.compiled.compilation import CannotCompile
-from edtorch.compiled.tiles import Tiles
-from edtorch.learner.learner import Learner
 from edtorch.run.checkpoint import save_training
 from edtorch.run.log import Entry, spread_scalars
 from edtorch.run.recorder import Recorder
@@ -37,9 +33,6 @@ from edtorch.run.training import Training
 from edtorch.run.transitions_file import gathered, save_transitions
 
 logger = logging.getLogger("edtorch")
-
-_PIECE = 64
-"""Ticks between two looks at whether to stop."""
 
 
 class Learners(Learning):
@@ -53,7 +46,7 @@ class Learners(Learning):
         notes = [*self._fresh_notes(), *near_seams(config.reward, setup.world.spec)]
         if config.log.transitions:
             self._recorder = Recorder(setup.world, len(setup.seeds))
-            notes.insert(0, "every transition is kept, and the tick is not compiled for it")
+            notes.insert(0, "every transition is kept: ticks are not compiled")
         self._training = training = Training(
             setup.learner,
             setup.world,
@@ -68,8 +61,10 @@ class Learners(Learning):
         title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
         super().__init__(setup, config, training, domain, title)
         budget = setup.budget.in_words(domain.words.successes)
-        precision = "float64" if setup.world.dtype.itemsize == 8 else "mixed precision"
-        self.notes = [*notes, f"{title}; at most {budget} each; {setup.path}; {precision}"]
+        self.computed = "uncompiled"
+        if self._recorder is None:
+            self.computed = compiled(training, config.compute.native, config.compute.threads)
+        self.notes = [*notes, f"{title}; at most {budget} each; {setup.path}; {self.computed}"]
         self.measures = [m.name for m in domain.measures]
 
     def run(self, job: Job) -> None:
@@ -77,16 +72,11 @@ class Learners(Learning):
         training, setup = self._training, self._setup
         per_snapshot = max(1, round(self._log_every / training.world.dt))
         reported = 0
-        waiting, after = setup.compiled, setup.compute.after
         while not training.done:
-            if waiting is not None and training.clock >= after:
-                _go_on_compiled(training, waiting, required=setup.compute.required)
-                waiting = None
             ticks = self._evaluations.ticks_ahead(training.clock, per_snapshot)
-            if waiting is not None:
-                ticks = min(ticks, after - training.clock)
-            for done in range(0, ticks, _PIECE):
-                training.advance(min(_PIECE, ticks - done))
+            piece = training.stage.piece
+            for done in range(0, ticks, piece):
+                training.advance(min(piece, ticks - done))
                 job.pause()
             snapshot = training.snapshot()
             if setup.indicator is not None:
@@ -146,27 +136,4 @@ def _entry(news: News) -> Entry:
         scalars=spread_scalars("evaluation", news.figures),
         step=round(60 * news.minutes),
         news=f"after {news.minutes:g} min: {news.text}",
-    )
-
-
-def _go_on_compiled(training: Training, learner: Learner, *, required: bool) -> None:
-    """From now on by a compiled program; without one, as before, if that is allowed."""
-    began = time.monotonic()
-    logger.info("compiling the tick, unless that has been done before...")
-    try:
-        tick = dataclasses.replace(training.tick, learner=learner)
-        stage = Tiles(tick, training.stage.population, training.seeds)
-    except CannotCompile as error:
-        if required:
-            raise ConfigError(f"compute.compile=on: {error}") from error
-        logger.warning("not compiled, and several times slower for it: %s", error)
-        return
-    training.stage = stage
-    how = "kept for the next run" if stage.was_compiled else "from the cache"
-    logger.info(
-        "compiled from tick %d on, in tiles of %d learners (%.1f s, %s)",
-        training.clock,
-        stage.size,
-        time.monotonic() - began,
-        how,
     )

@@ -15,6 +15,7 @@ from rich.table import Table
 from edtorch.app.budget import given_budget
 from edtorch.app.build import Setup, build
 from edtorch.app.checks import at_least
+from edtorch.app.compute import refuse_kernels
 from edtorch.app.domain import described
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.inverse import has_inverse
@@ -80,8 +81,7 @@ def _refuse_beside(config: Settings) -> None:
         raise ConfigError("offline=recorded: expected inverse=none, a learner of a forward model")
     if config.log.transitions:
         raise ConfigError("log.transitions=true: expected false with offline=recorded")
-    if config.compute.compile == "on":
-        raise ConfigError("compute.compile=on: expected auto or off with offline=recorded")
+    refuse_kernels(config.compute, "offline=recorded")
     if len(config.eval.minutes) or config.eval.keep:
         raise ConfigError(
             "offline=recorded: expected eval.minutes=[] and eval.keep=0; nothing is lived through"
@@ -141,9 +141,8 @@ def _close(dt: Any, wanted: float) -> Any:
 def build_offline(config: Settings) -> OfflineSetup:
     """Objects for learning from files.  Raises ConfigError, and FileProblem for the files."""
     _refuse_beside(config)
-    plain = config.merged({"compute": {"compile": "off"}})
     budget = given_budget(config.train)
-    setup = build(plain, budget or Budget(seconds=math.inf))
+    setup = build(config, budget or Budget(seconds=math.inf))
     own = config.offline
     at_least("offline.steps", own.steps, 0)
     at_least("offline.tolerance", own.tolerance, 0)

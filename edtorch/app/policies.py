@@ -14,7 +14,7 @@ from edtorch.app.errors import ConfigError, under
 from edtorch.app.policy import build_actor, build_frozen_observer, policy_card
 from edtorch.app.random_search import is_rival, is_search
 from edtorch.app.reward import build_reward
-from edtorch.app.rivals import build_rival, rival_card, rival_dtype
+from edtorch.app.rivals import build_rival, rival_card
 from edtorch.app.settings import Settings
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
@@ -39,7 +39,7 @@ def acting_dtype(config: Settings, path: Path) -> torch.dtype:
     """The number type of the world in which the policies of the file ``path`` act."""
     if is_rival(config) and not is_search(config):
         # Networks have a type of their own.
-        return rival_dtype(config.compute)
+        return torch.float64
     return policy_dtype(path)
 
 

@@ -15,7 +15,7 @@ from rich.table import Table
 from torch import Tensor
 
 from edtorch.app.checks import at_least, check_numbers, check_seeds
-from edtorch.app.compute import check_choices
+from edtorch.app.compute import device_of
 from edtorch.app.construct import construct, target_class
 from edtorch.app.domain import build_sim, described
 from edtorch.app.errors import ConfigError
@@ -72,18 +72,15 @@ def build_search(config: Settings) -> SearchSetup:
         raise ConfigError(
             f"seeds={config.seeds}: expected 1 with rival=random_search; vary seed in a sweep"
         )
-    check_choices(config.compute)
+    device_of(config.compute)
     settings = construct("rival", config.rival)
     processes = settings.processes
     if processes is None:
         processes = len(os.sched_getaffinity(0))
     at_least("rival.processes", processes, 1)
-    dtype = torch.float32 if config.compute.precision == "mixed" else torch.float64
     sim = build_sim(config.domain)
-    policy = build_linear_policy(config.policy, sim, dtype, config.seed)
-    return SearchSetup(
-        settings, World(sim, dtype), policy, config.seed, processes, config.compute.compile
-    )
+    policy = build_linear_policy(config.policy, sim, torch.float64, config.seed)
+    return SearchSetup(settings, World(sim), policy, config.seed, processes, config.compute.native)
 
 
 def _numbers(values: Tensor) -> list[float]:

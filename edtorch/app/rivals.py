@@ -17,7 +17,7 @@ from rich.table import Table
 
 from edtorch.app.budget import build_budget, check_ticks
 from edtorch.app.checks import at_least, check_numbers, check_seeds
-from edtorch.app.compute import check_choices
+from edtorch.app.compute import device_of
 from edtorch.app.construct import construct
 from edtorch.app.domain import build_sim, changed_domain, described, measured
 from edtorch.app.errors import ConfigError, under
@@ -66,24 +66,19 @@ class RivalSetup:
         return list(self.problem.seeds)
 
 
-def rival_dtype(compute: Any) -> torch.dtype:
-    """Of its world."""
-    return torch.float32 if compute.precision == "mixed" else torch.float64
-
-
 def build_rival(config: Settings) -> RivalSetup:
     """Objects for a rival with a search per seed.  Raises ConfigError, which names the key."""
     check_numbers(config)
     check_seeds(config)
     at_least("compute.threads", config.compute.threads, 1)
     at_least("eval.episodes", config.eval.episodes, 1)
-    check_choices(config.compute)
+    device_of(config.compute)
     _refuse_parts_of_learners(config)
     until = config.train.until
     if until is not None and until not in MILESTONES:
         raise ConfigError(f"train.until={until}: expected null or one of {', '.join(MILESTONES)}")
     budget = build_budget(config.train)
-    dtype = rival_dtype(config.compute)
+    dtype = torch.float64
     sim = build_sim(config.domain)
     check_ticks(budget, sim.spec.dt)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
@@ -102,7 +97,7 @@ def build_rival(config: Settings) -> RivalSetup:
         policy=build_linear_policy(config.policy, sim, dtype, config.seed),
         reward=reward,
         seeds=range(config.seed, config.seed + config.seeds),
-        compile=config.compute.compile,
+        compile=config.compute.native,
     )
     rival = construct("rival", config.rival, "begin")
     name = str(config.rival._target_).rsplit(".", 1)[-1]

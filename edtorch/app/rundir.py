@@ -38,6 +38,8 @@ def versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         found[name] = importlib.metadata.version(name)
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+        found["numba"] = importlib.metadata.version("numba")
     return found
 
 
@@ -112,6 +114,11 @@ class RunFolder:
             raise ConfigError(
                 f"{self._key}={self.path}: expected a folder to write to ({error.strerror})"
             ) from error
+
+    def add(self, fact: str, value: str) -> None:
+        """One more line in ``run.json``."""
+        about = json.loads((self.path / ABOUT).read_text(encoding="utf-8"))
+        write_text(self.path / ABOUT, json_text({**about, fact: value}))
 
     def set_status(self, status: str, why: str | None = None) -> None:
         """``running``, ``done``, ``interrupted`` or ``failed``, with the reason."""

@@ -50,9 +50,12 @@ def planned(config: Settings) -> tuple[list[int], Begin]:
     return setup.seeds, lambda: Learners(setup, config)
 
 
-def _done(begin: Begin, config: Settings, folder: Path, stop: Stop, began: float) -> dict[str, Any]:
+def _done(
+    begin: Begin, config: Settings, run_folder: RunFolder, stop: Stop, began: float
+) -> dict[str, Any]:
     """Learn, evaluate, write everything; returns the content of ``summary.json``."""
-    console, work = Console(), begin()
+    console, work, folder = Console(), begin(), run_folder.path
+    run_folder.add("computed", work.computed)
     sinks, board = open_sinks(work, config, folder)
     if config.log.progress:
         sinks.append(ConsoleSink(console))
@@ -113,7 +116,7 @@ def run(config: Settings, folder: RunFolder, stop: Stop, began: float) -> dict[s
     try:
         with _logging_to(folder.path):
             try:
-                summary = _done(begin, config, folder.path, stop, began)
+                summary = _done(begin, config, folder, stop, began)
             except Exception:
                 logger.exception("failed")
                 raise

@@ -175,7 +175,7 @@ def _learner(plan: Plan, learner: Learner, world: World) -> None:
         "TICK": dt,
         "UNIT": model.time_unit(world.seconds),
         "PERIOD": model.period,
-        "TURNS": model.turns_per_unit,
+        "TURNS": torch.where(model.period > 0, 1 / model.period, 0.0),
         "ORIGIN": torch.zeros(n) if origin is None else origin,
     }
     _fit(plan, learner.fit)
@@ -230,9 +230,8 @@ def _value(plan: Plan, path: Any, n: int, m: int) -> None:
     if type(path) not in kernels:
         raise NoKernel(f"a value of the kind {type(path).__name__}")
     plan.chosen["value"] = kernels[type(path)]
-    costs = path.solve.keywords
     size = plan.constants["A"]
-    state, action, cross = costs["state_cost"], costs["action_cost"], costs["cross"]
+    state, action, cross = path.state_cost, path.action_cost, path.cross
     priced = action is not None or cross is not None
     is_diagonal = bool((state == torch.diag(state.diagonal())).all())
     plan.constants |= {"PRICED_ACTIONS": int(priced), "DIAGONAL": int(is_diagonal)}
@@ -242,8 +241,8 @@ def _value(plan: Plan, path: Any, n: int, m: int) -> None:
         "ACTION_COST": torch.zeros(m, m) if action is None else action,
         "CROSS_COST": torch.zeros(size, m) if cross is None else cross,
         "START_COV": getattr(path, "start_cov", torch.zeros(n, n)),
-        "STEPS": len(costs["weights"]),
-        "WEIGHTS": costs["weights"],
+        "STEPS": len(path.weights),
+        "WEIGHTS": path.weights,
     }
 
 

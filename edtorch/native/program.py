@@ -187,7 +187,7 @@ def _compiled(
     if folder is not None and not _is_whole(folder):
         _clear(folder)
     if folder is None or not (folder / "sums").exists():
-        logger.info("compiling %s: some 20 s, once", what)
+        logger.info("compiling %s (some 10 s, once)...", what)
     try:
         function = _module(source, folder).__dict__[entry]
         function.compile(signature)

@@ -25,7 +25,7 @@ HOW_NOT_WHAT = (
     "debug",
     "log",
     "compute.threads",
-    "compute.compile_after",
+    "compute.native",
     "domain.workers",
     "rival.processes",
     "rival.slots",

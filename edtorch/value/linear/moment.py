@@ -13,7 +13,6 @@ of their own: with the second moment X = mean mean' + cov (section 3, f'; exact 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -85,17 +84,19 @@ def moment_value_and_gradient(
 class LinearMoment:
     """A ``ValuePath`` for linear model and policy, quadratic reward, constant noise, first order.
 
-    dt and solve as in ``LinearMeanOnly``, solve with (start belief, noise over a step) at its end;
     noise: the rule for nu~, a constant one; start_cov: covariance of the belief that the unroll
-    starts from, ``[n, n]``.
+    starts from, ``[n, n]``; the rest as in ``LinearMeanOnly``.
     """
 
     model: Model
     policy: GainedPolicy
     dt: float
-    solve: Callable[[Tensor, Tensor, Tensor, Belief, Tensor], tuple[Tensor, Tensor]]
     noise: Noise
     start_cov: Tensor
+    weights: Tensor
+    state_cost: Tensor
+    action_cost: Tensor | None
+    cross: Tensor | None = None
     augmented: bool = False
     needs_autograd: bool = False
 
@@ -106,5 +107,15 @@ class LinearMoment:
         loop = linear_loop(self.model, self.policy, model, policy, self.dt, self.augmented)
         nu = self.model.noise_over(self.noise.covariance(noise, state), self.dt)
         start = Belief(loop.start(state), loop.square(self.start_cov).expand(loop.drift.shape))
-        value, gradient = self.solve(loop.drift, loop.G, loop.theta, start, loop.square(nu))
+        value, gradient = moment_value_and_gradient(
+            loop.drift,
+            loop.G,
+            loop.theta,
+            start,
+            loop.square(nu),
+            state_cost=self.state_cost,
+            action_cost=self.action_cost,
+            weights=self.weights,
+            cross=self.cross,
+        )
         return ValueGradient(value, self.policy.of_gain(loop.gain(gradient)))

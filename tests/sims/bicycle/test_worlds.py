@@ -10,9 +10,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from edtorch.compiled.compilation import CannotCompile, check_compiler
-from edtorch.compiled.innermost import first, stored
-from edtorch.compiled.program import compile_graph
 from edtorch.run.episodes import Budget
 from edtorch.run.scaled_sim import World
 from edtorch.run.training import Training
@@ -22,7 +19,7 @@ from sims.bicycle.life import DRAWN
 from sims.bicycle.optimum import shortest_time
 from sims.bicycle.slalom import Slalom
 from sims.sensing import Sensed
-from tests.compiling import training_and_tick
+from tests.populations import bicycle_training
 from tests.sims.bicycle.test_bicycle import falls
 
 CHANGE = {"M_p": 90.0, "v": 5.0}
@@ -221,7 +218,7 @@ EVERYTHING: dict[str, Any] = {
 
 def training(sim: Sim, seeds: list[int]) -> Training:
     """Learners in ``sim`` instead of the plain bicycle."""
-    learner = training_and_tick([0], Budget(seconds=3.0))[0].learner
+    learner = bicycle_training([0], Budget(seconds=3.0)).learner
     return Training(learner, World(sim), seeds, Budget(seconds=3.0))
 
 
@@ -242,48 +239,6 @@ def test_a_seed_lives_the_same_life_in_any_company(sim: Sim) -> None:
     assert not torch.equal(born[0, factors], born[1, factors])
     assert together.worlds.world[:, lasting[-1]].tolist() == [200.0] * 3
     assert max(e.number for e in together.episodes) > 0
-
-
-class _Rides(torch.nn.Module):
-    """A step, a restart of those that it ended, and what is seen then, stored batch last."""
-
-    def __init__(self, sim: Sim) -> None:
-        super().__init__()
-        self.sim = sim
-
-    def forward(self, state: Tensor, action: Tensor, wind: Tensor, draw: Tensor) -> list[Tensor]:
-        sim = self.sim
-        new = sim.step(first(state), first(action), first(wind))
-        outcome = sim.outcome(new)
-        new = sim.restart(new, outcome != 0, first(draw))
-        return [stored(new), outcome, stored(sim.observe(new))]
-
-
-@pytest.mark.oracle
-def test_compiled_it_is_the_same_world(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    try:
-        check_compiler()
-    except CannotCompile as reason:
-        pytest.skip(f"nothing can be compiled here: {reason}")
-    monkeypatch.setenv("EDTORCH_CACHE", str(tmp_path))
-    sim, size = Sensed(Slalom(**EVERYTHING), {"lean": 0.01, "angle_to_goal": 0.01}, 2), 32
-    assert sim.traceable
-    rides, state = _Rides(sim), stored(sim.initial(uniform(size, sim.spec.reset_dim)))
-    compiled, ended = None, 0
-    for k in range(150):
-        numbers = (
-            uniform(2, size, seed=3 * k) * 0.01,
-            uniform(sim.spec.disturbance_dim, size, seed=3 * k + 1),
-            uniform(sim.spec.reset_dim, size, seed=3 * k + 2),
-        )
-        arguments = (state, *numbers)
-        wanted = rides(*arguments)
-        if compiled is None:
-            compiled = compile_graph(rides, sim, (sim,), arguments, size)
-        for got, want in zip(compiled.run(list(arguments)), wanted, strict=True):
-            assert torch.allclose(got, want, rtol=1e-9, atol=1e-12)
-        state, ended = wanted[0], ended + int((wanted[1] != 0).sum())
-    assert ended > size / 2
 
 
 def test_noise_three_and_five_times_is_a_setting() -> None:

@@ -1,13 +1,11 @@
-"""What the tests of compiled ticks share: a small learner in both of its forms."""
+"""Small populations on the bicycle, of three kinds."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-import pytest
 import torch
 
-from edtorch.compiled.compilation import CannotCompile, check_compiler
 from edtorch.learner.annealing import Annealed
 from edtorch.learner.learner import Learner
 from edtorch.learner.limit import Ramp, Safe
@@ -21,7 +19,6 @@ from edtorch.policy.steps import SaturatedStep
 from edtorch.rewards import QuadraticReward
 from edtorch.run.episodes import Budget
 from edtorch.run.scaled_sim import World
-from edtorch.run.tick import Tick
 from edtorch.run.training import Training
 from edtorch.transform import FirstOrder, MeanOnly
 from edtorch.types import replace
@@ -32,18 +29,8 @@ from sims.bicycle import Bicycle
 Kind = Literal["plain", "rich", "cautious"]
 
 
-def needs_a_compiler() -> None:
-    """Skip a module where nothing can be compiled."""
-    try:
-        check_compiler()
-    except CannotCompile as reason:
-        pytest.skip(f"nothing can be compiled here: {reason}", allow_module_level=True)
-
-
-def training_and_tick(
-    seeds: list[int], budget: Budget, *, kind: Kind = "plain"
-) -> tuple[Training, Tick]:
-    """Learners on the bicycle with a short horizon, and their tick as a compiler wants it.
+def bicycle_training(seeds: list[int], budget: Budget, *, kind: Kind = "plain") -> Training:
+    """Learners on the bicycle with a short horizon.
 
     rich: with a constant term, least squares, covariance, noise, a start belief and action cost;
     cautious: what a learner that must not fall has besides.
@@ -75,8 +62,6 @@ def training_and_tick(
         step_rule=SaturatedStep(0.3, 1.0),
         exploration=0.05,
     )
-    assert choice.compiled is not None
-    value = choice.compiled
     schedule = ALWAYS
     if cautious:
         schedule = Schedule(first=10, often=40, every=16)
@@ -88,7 +73,4 @@ def training_and_tick(
             exploration=Annealed(0.5, 0.05, 30.0),
             command=Safe(ramp, model, policy, noise, 0.051, 4, ((0, 1.0),), share, deviations=0.5),
         )
-        value = FromOrigin(value)
-    training = Training(learner, world, seeds, budget, schedule=schedule)
-    compiled = replace(learner, value=value)
-    return training, replace(training.tick, learner=compiled)
+    return Training(learner, world, seeds, budget, schedule=schedule)
