@@ -57,7 +57,7 @@ def main() -> None:
             f"seeds={options.seeds}",
             f"seed={options.seed}",
             f"train.seconds={options.seconds}",
-            "compute.compile=off",
+            "compute.native=off",
         ],
     )
     setup = build(config)

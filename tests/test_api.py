@@ -84,7 +84,7 @@ def test_numbers_are_those_of_the_command_for_an_environment(tmp_path: Path) -> 
 
 @pytest.mark.oracle
 def test_numbers_are_those_of_the_command_for_the_bicycle(tmp_path: Path) -> None:
-    quick = (*QUICK, "domain.time_limit=5", "compute.compile=off")
+    quick = (*QUICK, "domain.time_limit=5", "compute.native=off")
     run = edtorch.learn(
         preset="bicycle", seconds=3, seeds=2, seed=1, overrides=quick, progress=False
     )

@@ -104,7 +104,7 @@ class Native:
         ]
         self._trail = np.zeros((0, lanes, self._width + 1))
         self._pool = ThreadPoolExecutor(len(self._slices)) if len(self._slices) > 1 else None
-        what = f"ticks of {tick.world.spec.name} for {lanes} learners at a time"
+        what = f"the tick of {tick.world.spec.name}"
         arguments = self._arguments(self._slices[0], 0, 0, 1, 1, self._trail)
         self._ticks = load(source, "ticks", arguments, what)
 

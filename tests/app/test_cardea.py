@@ -169,7 +169,7 @@ def test_learning_goes_on_where_a_worker_died(
         (["unroll.path=fast"], r"unroll\.path=fast: expected one of"),
         (["observation.delay=1"], r"observation\.delay=1: expected none with an inverse model"),
         (["log.value_error=true"], r"log\.value_error=true: expected false"),
-        (["compute.precision=mixed"], r"compute\.precision=mixed: expected float64"),
+        (["compute.native=on"], r"compute\.native=on: expected auto or off with an inverse model"),
     ],
 )
 def test_refusals(command: Command, overrides: list[str], message: str) -> None:

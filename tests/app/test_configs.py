@@ -108,7 +108,7 @@ def test_experiment_runs_three_episodes(name: str) -> None:
 def test_experiment_of_a_rival_works_a_piece(name: str) -> None:
     if name.startswith("cardea"):
         pytest.importorskip("pybullet", reason="the extra [cardea] is not installed")
-    short = ("seeds=2", "compute.compile=off", *SHORT.get(name, ()))
+    short = ("seeds=2", "compute.native=off", *SHORT.get(name, ()))
     setup = build_rival(_compose(f"experiment={name}", *short))
     begun = setup.rival.begin(setup.problem)
     begun.advance([True, True], lambda: None)

@@ -18,7 +18,7 @@ from sims.linear import LinearSystem
 from tests.app.constant import Pieces
 from tests.app.test_random_search import SMALL
 
-QUICK = ("eval.episodes=3", "log.tensorboard=false", "log.figures=false", "compute.compile=off")
+QUICK = ("eval.episodes=3", "log.tensorboard=false", "log.figures=false", "compute.native=off")
 CONSTANT = (
     "rival._target_=tests.app.constant.Constant",
     "rival.gain=-1.0",

@@ -20,7 +20,7 @@ SHORT = (
     "train.successes=null",
     "domain.time_limit=2.5",
     "eval.episodes=4",
-    "compute.compile=off",
+    "compute.native=off",
     "log.tensorboard=false",
     "log.figures=false",
 )

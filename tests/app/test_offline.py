@@ -236,7 +236,7 @@ REFUSED = [
     (["offline.pases=2"], r"offline\.pases=2: unknown key; did you mean offline\.passes\?"),
     (["offline.variant=tape"], r"offline\.variant=tape: expected one of none, recorded"),
     (["log.transitions=true"], r"log\.transitions=true: expected false with offline=recorded"),
-    (["compute.compile=on"], r"compute\.compile=on: expected auto or off with offline"),
+    (["compute.native=on"], r"compute\.native=on: expected auto or off with offline"),
     (["eval.minutes=[1]"], r"offline=recorded: expected eval\.minutes=\[\]"),
     (["rival=random_search"], r"offline=recorded: expected rival=none"),
     (["domain=slalom"], r"meta\.domain=bicycle: expected slalom"),
@@ -259,7 +259,7 @@ def test_refuses_with_one_line(
 
 
 RECORDING_REFUSED = [
-    (["compute.compile=on"], r"log\.transitions=true: expected compute\.compile=auto or off"),
+    (["compute.native=on"], r"compute\.native=on: expected auto or off with log\.transitions=true"),
     (["seeds=10000", "train.seconds=1e6"], r"log\.transitions=true: 10000 learners of up to .*GiB"),
     (["rival=random_search"], r"log\.transitions=true: expected false with a rival"),
     (

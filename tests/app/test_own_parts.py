@@ -50,7 +50,7 @@ LINEAR = (
     "reward=quadratic",
     "+reward.state.s0=1",
 )
-SHORT = ("train.seconds=0.5", "eval.episodes=0", "log.progress=false", "compute.compile=off")
+SHORT = ("train.seconds=0.5", "eval.episodes=0", "log.progress=false", "compute.native=off")
 SEQUENTIAL = (
     "policy={_target_: torch.nn.Sequential,"
     " _args_: [{_target_: torch.nn.Linear, in_features: 2, out_features: 1}]}"

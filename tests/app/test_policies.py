@@ -16,7 +16,7 @@ SMALL = (
     "seeds=2",
     "domain.time_limit=4",
     "eval.episodes=3",
-    "compute.compile=off",
+    "compute.native=off",
     "log.tensorboard=false",
 )
 RUNS = {
@@ -71,7 +71,7 @@ def test_the_policies_of_a_search_have_numbers(quick_command: Command, tmp_path:
         "rival.slots=8",
         "domain.time_limit=2",
         "log.tensorboard=false",
-        "compute.compile=off",
+        "compute.native=off",
         f"hydra.run.dir={folder}",
     )
     assert result.status == 0, result.err

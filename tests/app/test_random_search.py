@@ -22,7 +22,7 @@ SMALL = (
     "rival.slots=16",
     "rival.look=16",
     "rival.processes=1",
-    "compute.compile=off",
+    "compute.native=off",
     "domain.time_limit=0.4",
     "domain.physics.omega_max=0.02",
     "domain.goal_radius=998.2",
@@ -118,7 +118,7 @@ REFUSED = [
     (["rival._target_=edtorch.policy.steps.PlainStep"], r"rival"),
     (["rival=foo"], r"rival=foo: expected one of .*none, .*random_search"),
     (["seeds=2"], r"seeds=2: expected 1 with rival=random_search"),
-    (["compute.compile=perhaps"], r"compute\.compile=perhaps: expected one of auto, on, off"),
+    (["compute.native=perhaps"], r"compute\.native=perhaps: expected one of auto, on, off"),
     (["+domain.state_scale.lena=1"], r"domain\.state_scale='lena'.*expected names of"),
 ]
 

@@ -28,7 +28,7 @@ SYSTEM = (
     "+reward.state.s0=1",
     "rival=constant",
     "eval.episodes=4",
-    "compute.compile=off",
+    "compute.native=off",
     "log.tensorboard=false",
     "log.progress=false",
 )

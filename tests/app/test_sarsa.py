@@ -20,7 +20,7 @@ SMALL = (
     "rival.every=1.5",
     "domain.time_limit=2",
     "eval.episodes=2",
-    "compute.compile=off",
+    "compute.native=off",
     "log.tensorboard=false",
 )
 

@@ -71,7 +71,7 @@ def test_folders_of_the_same_names_break_nothing(tmp_path: Path, shadow: Path) -
         "import sys, edtorch, gymnasium\n"
         "from edtorch.app.build import build\n"
         "from edtorch.app.compose import compose\n"
-        "build(compose(['experiment=bicycle', 'compute.compile=off']))\n"
+        "build(compose(['experiment=bicycle', 'compute.native=off']))\n"
         "gymnasium.make('edtorch/Bicycle-v0').reset()\n"
         "try:\n"
         "    build(compose(['domain._target_=sims.mine.Cart']))\n"

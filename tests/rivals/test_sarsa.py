@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from edtorch.compiled.compilation import CannotCompile
+from edtorch.compiled.compilation import CannotCompile, check_compiler
 from edtorch.model.features import Identity
 from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
@@ -22,7 +22,6 @@ from edtorch.run.hashing import Use, hash_key, uniform
 from edtorch.run.scaled_sim import World
 from sims.base import Outcome, Quantity, Spec
 from sims.bicycle import Bicycle, Physics
-from tests.compiling import needs_a_compiler
 
 CELLS = 6
 
@@ -321,7 +320,7 @@ def test_pause_ends_it() -> None:
 @pytest.mark.filterwarnings("ignore:`torch.jit.*:DeprecationWarning")  # of torch's compiler itself
 def test_compiled_is_uncompiled() -> None:
     """The loop in the graph does what the loop outside does."""
-    needs_a_compiler()
+    check_compiler()
     settings = replace(CORRIDOR, exploration=0.3, every=100.0)
     world = World(Corridor())
     plain = _searched(settings, _problem(world, range(3)))

@@ -18,7 +18,7 @@ seeds: 2
 common: [domain.dt=0.1, train.seconds=3, eval.episodes=1, log.tensorboard=false, log.figures=false]
 tables:
   added:
-    base: [domain=linear, reward=quadratic, +reward.state.state_0=1, compute.compile=off]
+    base: [domain=linear, reward=quadratic, +reward.state.state_0=1, compute.native=off]
     baseline: {plain: []}
     cells:
       larger_step: [step.alpha=0.7]

@@ -29,7 +29,7 @@ OUT = Path("out")
 REFERENCE = Path(__file__).parents[2] / "runs" / "reference" / "paper"
 SMALL = """
 common: [log.tensorboard=false]
-quick: [compute.compile=off]
+quick: [compute.native=off]
 tables:
   data:
     cells:
@@ -63,7 +63,7 @@ def test_a_plan() -> None:
 def test_a_quick_plan() -> None:
     plan = read_plan(SMALL, OUT, quick=True)
     falls = plan.cells[0].overrides
-    assert falls == ("log.tensorboard=false", "seeds=4", "compute.compile=off", "seeds=2")
+    assert falls == ("log.tensorboard=false", "seeds=4", "compute.native=off", "seeds=2")
     assert len(plan.rows["methods/apart"]) == QUICK_APART
 
 
