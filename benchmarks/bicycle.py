@@ -8,10 +8,10 @@ import numpy as np
 
 from edtorch.app.build import Setup, build
 from edtorch.app.compose import compose
-from edtorch.compiled.tiles import Tiles
+from edtorch.native.plan import plan_of
+from edtorch.native.stage import Native
 from edtorch.run.random import Purpose, Streams, stream_key
 from edtorch.run.training import Training
-from edtorch.types import replace
 
 Array = np.ndarray[Any, Any]
 
@@ -21,8 +21,6 @@ def paper_setup(
     *,
     covariance: bool = False,
     path: str = "auto",
-    compile: str = "off",
-    precision: str = "float64",
 ) -> Setup:
     """experiment=bicycle_paper with ``size`` learners that never stop."""
     transform = "first" if covariance else "mean_only"
@@ -33,8 +31,6 @@ def paper_setup(
             f"transform={transform}",
             f"unroll.path={path}",
             "train.seconds=1e9",
-            f"compute.compile={compile}",
-            f"compute.precision={precision}",
         ],
     )
     return build(config)
@@ -46,13 +42,16 @@ def paper_training(size: int, *, covariance: bool = False) -> Training:
     return Training(setup.learner, setup.world, setup.seeds, setup.budget)
 
 
-def compiled_training(size: int, *, covariance: bool = False, precision: str) -> Training:
-    """The same on compiled ticks."""
-    setup = paper_setup(size, covariance=covariance, compile="on", precision=precision)
-    training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
-    assert setup.compiled is not None
-    tick = replace(training.tick, learner=setup.compiled)
-    training.stage = Tiles(tick, training.stage.population, setup.seeds)
+def native_training(size: int, *, covariance: bool = False, threads: int = 1) -> Training:
+    """The same in kernels."""
+    return compiled(paper_training(size, covariance=covariance), threads)
+
+
+def compiled(training: Training, threads: int = 1) -> Training:
+    """A population, in kernels from now on."""
+    population = training.stage.population
+    plan = plan_of(training.tick, population)
+    training.stage = Native(plan, training.tick, population, training.seeds, threads=threads)
     return training
 
 

@@ -1,8 +1,7 @@
-"""What compiling costs: the first time ever, the first time of a program, and from the disk.
+"""What compiling costs: the first time, and from the disk.
 
-Each figure is that of a process of its own, CPU and wall seconds, from an empty cache (Inductor's
-and edtorch's), then from one in which Inductor has already tried the processor and its headers,
-then from the program on disk.
+Each figure is that of a process of its own, CPU and wall seconds, from an empty cache, then from
+the program on disk.
 
     python -m benchmarks.compile [--json FILE]
 """
@@ -21,23 +20,23 @@ from pathlib import Path
 from benchmarks.timing import print_table, write_json
 
 CASES = {
-    "mean only, mixed, tile of 256": ("256", "", "mixed"),
-    "mean only, float64, tile of 256": ("256", "", "float64"),
-    "mean only, mixed, tile of 16": ("8", "", "mixed"),
-    "with covariance, mixed, tile of 256": ("256", "covariance", "mixed"),
+    "mean only, one by one": ("8", ""),
+    "mean only, 32 lanes": ("256", ""),
+    "with covariance, one by one": ("8", "covariance"),
+    "with covariance, 32 lanes": ("256", "covariance"),
 }
 
 
-def one(size: str, covariance: str, precision: str) -> dict[str, float]:
+def one(size: str, covariance: str) -> dict[str, float]:
     """In this process: CPU and wall seconds from a population to its first compiled ticks."""
     import torch
 
-    from benchmarks.bicycle import compiled_training
+    from benchmarks.bicycle import native_training
 
     torch.set_num_threads(1)
     cpu, wall = time.process_time(), time.monotonic()
     children = os.times().children_user + os.times().children_system
-    compiled_training(int(size), covariance=bool(covariance), precision=precision).advance(16)
+    native_training(int(size), covariance=bool(covariance)).advance(16)
     after = os.times().children_user + os.times().children_system
     return {
         "cpu_s": time.process_time() - cpu + after - children,
@@ -45,9 +44,9 @@ def one(size: str, covariance: str, precision: str) -> dict[str, float]:
     }
 
 
-def in_a_process(case: tuple[str, str, str], folder: Path) -> dict[str, float]:
+def in_a_process(case: tuple[str, str], folder: Path) -> dict[str, float]:
     """``one`` in a process of its own, with its caches in ``folder``."""
-    place = {"EDTORCH_CACHE": str(folder / "edtorch"), "TORCHINDUCTOR_CACHE_DIR": str(folder / "i")}
+    place = {"EDTORCH_CACHE": str(folder)}
     command = [sys.executable, "-m", "benchmarks.compile", "--one", *case]
     done = subprocess.run(
         command, env=os.environ | place, check=True, capture_output=True, text=True
@@ -57,7 +56,7 @@ def in_a_process(case: tuple[str, str, str], folder: Path) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--one", nargs=2, help=argparse.SUPPRESS)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     if options.one:
@@ -66,10 +65,9 @@ def main() -> None:
     table: dict[str, dict[str, dict[str, float]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, case in CASES.items():
-            when = "first of all" if not table else "cold"
-            table[name] = {when: in_a_process(case, Path(folder))}
+            table[name] = {"cold": in_a_process(case, Path(folder))}
             table[name]["from disk"] = in_a_process(case, Path(folder))
-    columns = ["first of all", "cold", "from disk"]
+    columns = ["cold", "from disk"]
     print("CPU s (wall s) to the first compiled ticks")
     print_table(
         "",

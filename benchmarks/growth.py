@@ -1,9 +1,9 @@
-"""How time grows: of a compiled tick with the population, of value and gradient with T and n.
+"""How time grows: of a tick with the population, of value and gradient with T and n.
 
     python -m benchmarks.growth [--sizes 256 4096 65536] [--steps 10 30 60] [--states 5 14 32]
         [--json FILE]
 
-The paper's bicycle in mixed precision; value and gradient in float32 for 256 learners; compiled,
+The paper's bicycle in kernels; the closed form of value and gradient for 256 learners;
 all sizes in turn, so that the ratios to the first of each kind are those of one run.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.bicycle import compiled_training
+from benchmarks.bicycle import native_training
 from benchmarks.timing import Work, interleaved, print_table, write_json
 from benchmarks.unroll import ACTIONS, Problem, Size, edtorch_rows
 
@@ -26,15 +26,15 @@ MEMORY = 4.0
 
 def tick(size: int) -> Work:
     """A block of compiled ticks."""
-    training = compiled_training(size, precision="mixed")
+    training = native_training(size)
     training.advance(WARM_UP)
     return partial(training.advance, BLOCK)
 
 
 def value(n: int, steps: int, *, covariance: bool) -> Work:
-    """Value and gradient, compiled."""
-    size = Size(covariance, n, ACTIONS[n], steps, LEARNERS, "float32")
-    return edtorch_rows(Problem(size), MEMORY)["edtorch compiled"]
+    """Value and gradient, the closed form."""
+    size = Size(covariance, n, ACTIONS[n], steps, LEARNERS, "float64")
+    return edtorch_rows(Problem(size), MEMORY)["edtorch closed form"]
 
 
 def report(title: str, seconds: dict[str, float], per: dict[str, float]) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
     python -m benchmarks.ride [--size 256] [--rounds 7] [--json FILE]
 
-experiment=bicycle on compiled ticks in mixed precision, both kinds of blocks in turn; us of CPU per
+experiment=bicycle in kernels, both kinds of blocks in turn; us of CPU per
 learner and tick, random numbers and records included.  The mean is over a ride of 358 s.
 """
 
@@ -14,13 +14,12 @@ from pathlib import Path
 
 import torch
 
+from benchmarks.bicycle import compiled
 from benchmarks.timing import Work, interleaved, print_table, write_json
 from edtorch.app.build import Setup, build
 from edtorch.app.compose import compose
-from edtorch.compiled.tiles import Tiles
 from edtorch.learner.schedule import ALWAYS, Schedule
 from edtorch.run.training import Training
-from edtorch.types import replace
 
 BLOCK = 16
 RIDE = 35_800
@@ -29,7 +28,7 @@ RIDE = 35_800
 
 def setup_of(size: int) -> Setup:
     """The experiment, for learners that never stop."""
-    overrides = [f"seeds={size}", "train.seconds=1e6", "train.successes=null", "compute.compile=on"]
+    overrides = [f"seeds={size}", "train.seconds=1e6", "train.successes=null"]
     return build(compose(["experiment=bicycle", *overrides]))
 
 
@@ -37,9 +36,7 @@ def blocks(setup: Setup, schedule: Schedule) -> Work:
     """Blocks of ticks that are improved by ``schedule``, of learners a second old."""
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget, schedule=schedule)
     training.advance(100)
-    assert setup.compiled is not None
-    tick = replace(training.tick, learner=setup.compiled)
-    training.stage = Tiles(tick, training.stage.population, setup.seeds)
+    compiled(training)
     training.advance(BLOCK)
     return partial(training.advance, BLOCK)
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.bicycle import compiled_training, draws, numbers, paper_setup, paper_training
+from benchmarks.bicycle import draws, native_training, numbers, paper_setup, paper_training
 from benchmarks.timing import Work, interleaved, print_table, write_json
 from edtorch.learner.learner import AnyLearner, Learner
 from edtorch.run.training import Training
@@ -39,10 +39,9 @@ def rows(size: int, covariance: bool) -> dict[str, Work]:
     training = paper_training(size, covariance=covariance)
     training.advance(WARM_UP)
     found: dict[str, Work] = {"edtorch eager, float64": lambda: training.advance(BLOCK)}
-    for precision in ("float64", "mixed"):
-        compiled = compiled_training(size, covariance=covariance, precision=precision)
-        compiled.advance(WARM_UP)
-        found[f"edtorch compiled, {precision}"] = partial(compiled.advance, BLOCK)
+    native = native_training(size, covariance=covariance)
+    native.advance(WARM_UP)
+    found["edtorch native, float64"] = partial(native.advance, BLOCK)
     if importlib.util.find_spec("jax") is not None:
         for precision, dtype in (("float64", "float64"), ("mixed", "float32")):
             found[f"JAX, {precision}"] = jax_row(training, "ticks", dtype)

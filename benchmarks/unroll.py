@@ -19,24 +19,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from benchmarks.timing import Work, interleaved, print_table, write_json
-from edtorch.compiled.innermost import first, stored
-from edtorch.compiled.program import compile_graph
-from edtorch.compiled.tiles import LARGEST_TILE, VECTOR
 from edtorch.model.features import Identity
 from edtorch.model.models import DerivativeModel
 from edtorch.model.noise import ResidualNoise
 from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.transform import FirstOrder, MeanOnly
-from edtorch.value.choose import MOST_RECURSIVE_STEPS, Choice, Method, choose_path
-from edtorch.value.unroll import Horizon, ValuePath
+from edtorch.value.choose import Choice, Method, choose_path
+from edtorch.value.unroll import Horizon
 
 ACTIONS = {5: 2, 14: 5, 32: 10}
 """m by n: a bicycle, an arm, something larger."""
@@ -125,34 +120,7 @@ def edtorch_rows(problem: Problem, memory: float) -> dict[str, Work]:
         rows["edtorch generic"] = row("generic")
     if 2 * size.tape() <= memory:
         rows["edtorch closed form"] = row("closed_form")
-    if size.steps <= MOST_RECURSIVE_STEPS or not size.covariance:
-        value = choice("closed_form").compiled
-        assert value is not None
-        # One vector of the processor at least, as the tiles of a population are.
-        repeats = max(1, VECTOR // size.learners)
-        arguments = [torch.cat([x] * repeats) for x in (weight, theta, noise, start)]
-        rows["edtorch compiled"] = compiled_row(value, arguments)
     return rows
-
-
-class ValueGraph(torch.nn.Module):
-    """A path to value and gradient as a function of tensors stored batch last."""
-
-    def __init__(self, value: ValuePath) -> None:
-        super().__init__()
-        self.value = value
-
-    def forward(self, weight: Tensor, theta: Tensor, noise: Tensor, start: Tensor) -> Any:
-        weight, theta, noise, start = (first(x) for x in (weight, theta, noise, start))
-        found = self.value({"weight": weight}, {"weight": theta}, {"nu": noise}, start)
-        return found.value, stored(found.gradient["weight"])
-
-
-def compiled_row(value: ValuePath, arguments: list[Tensor]) -> Work:
-    split = (x.split(LARGEST_TILE) for x in arguments)
-    tiles = [[stored(x) for x in tile] for tile in zip(*split, strict=True)]
-    program = compile_graph(ValueGraph(value), value, [], tuple(tiles[0]), tiles[0][0].shape[-1])
-    return lambda: [program.run(list(tile)) for tile in tiles]
 
 
 def jax_rows(problem: Problem, memory: float) -> dict[str, Work]:
