@@ -119,17 +119,20 @@ def compiled(sim: HasRows, key: str) -> Rows:
     rows = rows_of(sim, xp)
     names = getattr(rows.constants, "_fields", range(len(rows.constants)))
     for name, value in zip(names, rows.constants, strict=True):
-        if not isinstance(value, float):
+        if not isinstance(value, float | int):
             raise NoRows(
                 f"{type(sim).__name__}.rows: constants.{name} is a {type(value).__name__}:"
-                " compiled code takes floats"
+                " compiled code takes numbers"
             )
+    # All of one type: whole numbers would be compiled apart.
+    constants: Any = [float(value) for value in rows.constants]
+    constants = getattr(type(rows.constants), "_make", tuple)(constants)
     functions: dict[str, Callable[..., Any]] = {
         name: xp.jit(getattr(rows, name))
         for name in ("step", "observe", "outcome", "start", "birth", "stepped")
         if getattr(rows, name) is not None
     }
-    return replace(rows, **functions)
+    return replace(rows, constants=constants, **functions)
 
 
 def first_difference(

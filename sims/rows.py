@@ -78,11 +78,12 @@ def _of_rows(function: Function) -> Function:
 
 
 def _where(mask: Tensor, a: Row, b: Row) -> Row:
-    if isinstance(a, float) and isinstance(b, float | int):
+    if not (isinstance(a, Tensor) or isinstance(b, Tensor)):
         if a == b:
             return a
-        # torch would make float32 of two numbers.
-        a = torch.tensor(a, dtype=torch.float64, device=mask.device)
+        if isinstance(a, float) or isinstance(b, float):
+            # torch would make float32 of two numbers.
+            a = torch.tensor(a, dtype=torch.float64, device=mask.device)
     return torch.where(mask, a, b)
 
 

@@ -17,6 +17,7 @@ HEAVY = (
     "stable_baselines3",
     "sklearn",
     "pybullet",
+    "numba",
 )
 LOADED = f"print('loaded:', *(name for name in {HEAVY!r} if name in sys.modules), file=sys.stderr)"
 REFUSED = f"""
