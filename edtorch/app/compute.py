@@ -74,7 +74,7 @@ def check_kernels(learner: AnyLearner, world: World) -> None:
         raise ConfigError(f"compute.native=on: {error}") from error
 
 
-def compiled(training: Training, mode: Mode, threads: int) -> str:
+def into_kernels(training: Training, mode: Mode, threads: int) -> str:
     """Let a population go on in kernels where its parts have them; says what became of it.
 
     The kinds of parts alone decide.  Raises ConfigError where kernels are asked for and do not

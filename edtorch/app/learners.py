@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from edtorch.app.build import Setup
-from edtorch.app.compute import compiled
+from edtorch.app.compute import into_kernels
 from edtorch.app.domain import described
 from edtorch.app.evaluations import News
 from edtorch.app.job import Job
@@ -63,7 +63,7 @@ class Learners(Learning):
         budget = setup.budget.in_words(domain.words.successes)
         self.computed = "uncompiled"
         if self._recorder is None:
-            self.computed = compiled(training, config.compute.native, config.compute.threads)
+            self.computed = into_kernels(training, config.compute.native, config.compute.threads)
         self.notes = [*notes, f"{title}; at most {budget} each; {setup.path}; {self.computed}"]
         self.measures = [m.name for m in domain.measures]
 

@@ -37,7 +37,7 @@ class Leaf:
 
 
 @dataclass(frozen=True)
-class Layout:
+class RowLayout:
     """leaves: by dotted name, in the order of the tree; numbers, counters: how many rows."""
 
     leaves: dict[str, Leaf]
@@ -46,7 +46,7 @@ class Layout:
     counters: int
 
     @staticmethod
-    def of(population: Population[LearnerState]) -> Layout:
+    def of(population: Population[LearnerState]) -> RowLayout:
         """For a population like this one."""
         found, spec = pytree.tree_flatten_with_path(population)
         tensors = {_name(path): tensor for path, tensor in found}
@@ -58,7 +58,7 @@ class Layout:
             leaf = Leaf(tuple(tensor.shape[1:]), tensor.dtype, rows[counts], counts)
             rows[counts] = leaf.rows.stop
             leaves[name] = leaf
-        return Layout({name: leaves[name] for name in tensors}, spec, rows[False], rows[True])
+        return RowLayout({name: leaves[name] for name in tensors}, spec, rows[False], rows[True])
 
     def pack(
         self, population: Population[LearnerState], lanes: int

@@ -26,7 +26,7 @@ from edtorch.model.fit_adaptive import AdaptiveLeastSquares
 from edtorch.model.fit_decaying import DecayingFit
 from edtorch.model.models import DerivativeModel, NextStateModel, dynamics_of
 from edtorch.model.noise import ResidualNoise
-from edtorch.native.layout import Layout
+from edtorch.native.layout import RowLayout
 from edtorch.policy.policies import CentredPolicy, LinearPolicy, gain_of
 from edtorch.policy.steps import DecayingStep, FullStep, PlainStep, SaturatedStep
 from edtorch.rewards import quadratic_form_of
@@ -38,7 +38,7 @@ from edtorch.value.unroll import FromOrigin
 from sims.base import Actuated, Judged, Losing, Rewarded
 from sims.rows import NoRows, Rows, rows_of
 
-NEVER = 2.0**52
+_NEVER = 2.0**52
 """A count that is never reached."""
 
 
@@ -108,7 +108,7 @@ def plan_of(tick: Tick[LearnerState], population: Population[LearnerState]) -> P
     if world.dtype != torch.float64 or world.device.type != "cpu":
         raise NoKernel(f"{world.dtype} on {world.device.type}")
     plan = Plan()
-    layout = Layout.of(population)
+    layout = RowLayout.of(population)
     _places(plan, layout)
     _learner(plan, learner, world)
     _world(plan, world)
@@ -118,15 +118,15 @@ def plan_of(tick: Tick[LearnerState], population: Population[LearnerState]) -> P
         "OFTEN": schedule.often,
         "EVERY": schedule.every,
         "LIMIT_TICKS": world.limit_ticks,
-        "MOST_EPISODES": NEVER if most[0] is None else most[0],
-        "MOST_SUCCESSES": NEVER if most[1] is None else most[1],
+        "MOST_EPISODES": _NEVER if most[0] is None else most[0],
+        "MOST_SUCCESSES": _NEVER if most[1] is None else most[1],
         "STRIDE": 1,
     }
     _scratch(plan)
     return plan
 
 
-def _places(plan: Plan, layout: Layout) -> None:
+def _places(plan: Plan, layout: RowLayout) -> None:
     for name, leaf in _KEPT.items():
         plan.constants[name] = layout.leaves[leaf].row if leaf in layout.leaves else 0
     known = [

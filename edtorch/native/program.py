@@ -73,7 +73,7 @@ def numba() -> Any:
     return found
 
 
-def joined(constants: Mapping[str, object], chosen: Mapping[str, str]) -> str:
+def module_text(constants: Mapping[str, object], chosen: Mapping[str, str]) -> str:
     """The text of a module: the kernels after ``constants``, and the names ``chosen`` of functions
     among them."""
     lines = ["import math", "import numpy as np"]
@@ -137,7 +137,7 @@ def _machine() -> str:
 
 
 @dataclass(frozen=True)
-class Source:
+class ModuleSource:
     """text: of the module; key: what else it is made of; parts: what it finds beside its own."""
 
     text: str
@@ -151,7 +151,7 @@ class Source:
         return f"edtorch_{hashlib.sha256(content.encode()).hexdigest()[:24]}"
 
 
-def load(source: Source, entry: str, arguments: Sequence[object], what: str) -> Any:
+def load_kernel(source: ModuleSource, entry: str, arguments: Sequence[object], what: str) -> Any:
     """The function ``entry`` of a module, compiled for arguments like these; from disk if it was
     compiled before, on this machine or another process of it.
 
@@ -181,7 +181,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _compiled(
-    source: Source, entry: str, signature: tuple[Any, ...], folder: Path | None, what: str
+    source: ModuleSource, entry: str, signature: tuple[Any, ...], folder: Path | None, what: str
 ) -> Any:
     sums = None if folder is None else folder / "sums"
     if folder is not None and not _is_whole(folder):
@@ -229,7 +229,7 @@ def _clear(folder: Path) -> None:
             path.unlink()
 
 
-def _module(source: Source, folder: Path | None) -> types.ModuleType:
+def _module(source: ModuleSource, folder: Path | None) -> types.ModuleType:
     name = source.name
     if name in sys.modules:
         return sys.modules[name]

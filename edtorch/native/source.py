@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from edtorch.native.plan import Plan
-from edtorch.native.program import Source, fingerprint, joined
+from edtorch.native.program import ModuleSource, fingerprint, module_text
 from sims.rows import HasRows
 
 
 def source_of(
     plan: Plan, sim: HasRows, lanes: int
-) -> tuple[Source, np.ndarray[Any, Any], tuple[float, ...]]:
+) -> tuple[ModuleSource, np.ndarray[Any, Any], tuple[float, ...]]:
     """The module of a plan, what kernels are given as ``number``, and the simulator's constants.
 
     Raises Unavailable for rows that cannot be told apart from others.
@@ -25,7 +25,7 @@ def source_of(
     places, number = plan.number()
     c = plan.constants
     key = fingerprint((rows.step, rows.observe, rows.outcome, rows.start, rows.stepped))
-    text = joined({**c, **places, "LANES": lanes}, plan.chosen)
+    text = module_text({**c, **places, "LANES": lanes}, plan.chosen)
     text += _tuples(c)
     from sims.compiled_rows import compiled
 
@@ -36,7 +36,7 @@ def source_of(
         text += "@inner\ndef applies(state, constants):\n    return True\n"
     else:
         parts["applies"] = own.stepped
-    return Source(text, key, parts), number, own.constants
+    return ModuleSource(text, key, parts), number, own.constants
 
 
 def _tuples(c: dict[str, int]) -> str:

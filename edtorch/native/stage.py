@@ -11,13 +11,13 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from edtorch.native.layout import Layout
+from edtorch.native.layout import RowLayout
 from edtorch.native.plan import Plan
-from edtorch.native.program import load
+from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
-from edtorch.run.random import BLOCK, drawn, learning_keys
+from edtorch.run.random import BLOCK, draw_block, learning_keys
 from edtorch.run.tick import Population, Tick
-from edtorch.run.training import WATCHED, Ended, Note, Passed
+from edtorch.run.training import WATCHED, EndedEpisodes, Note, TrailPoints
 from edtorch.types import LearnerState
 from sims.rows import HasRows
 
@@ -30,7 +30,7 @@ _EVENTS = 1024
 _LOOK = 500_000
 """Learner ticks, about, after which somebody looks whether to stop: a second or so."""
 
-Array = np.ndarray[Any, Any]
+_Array = np.ndarray[Any, Any]
 
 
 def lanes_for(plan: Plan, learners: int) -> int:
@@ -48,11 +48,11 @@ class _Slice:
 
     groups: range
     keys: list[tuple[int, int]]
-    scratch: Array
-    tape: Array
-    events: Array
+    scratch: _Array
+    tape: _Array
+    events: _Array
     block: int = -1
-    draws: tuple[Array, Array] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
+    draws: tuple[_Array, _Array] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
 
 
 class Native:
@@ -78,7 +78,7 @@ class Native:
         """
         self._size = len(seeds)
         self._lanes = lanes = lanes_for(plan, self._size) if lanes is None else lanes
-        self._layout = Layout.of(population)
+        self._layout = RowLayout.of(population)
         source, self._number, self._constants = source_of(
             plan, cast(HasRows, tick.world.sim), lanes
         )
@@ -106,10 +106,10 @@ class Native:
         self._pool = ThreadPoolExecutor(len(self._slices)) if len(self._slices) > 1 else None
         what = f"the tick of {tick.world.spec.name}"
         arguments = self._arguments(self._slices[0], 0, 0, 1, 1, self._trail)
-        self._ticks = load(source, "ticks", arguments, what)
+        self._ticks = load_kernel(source, "ticks", arguments, what)
 
     def _arguments(
-        self, part: _Slice, group: int, row: int, clock: int, count: int, trail: Array
+        self, part: _Slice, group: int, row: int, clock: int, count: int, trail: _Array
     ) -> tuple[Any, ...]:
         uniform, normal = part.draws if part.block >= 0 else _nothing(self._drawn, self._lanes)
         own = slice((group - part.groups.start) * self._lanes, None)
@@ -173,11 +173,11 @@ class Native:
 
     def _run(
         self, part: _Slice, clock: int, count: int, stride: int
-    ) -> tuple[int, Array, list[Array]]:
+    ) -> tuple[int, _Array, list[_Array]]:
         """Some ticks of a slice: how many, events, and the trails of its groups that have one."""
         block, row = divmod(clock + 1, BLOCK)
         if part.block != block:
-            part.draws, part.block = drawn(part.keys, *self._drawn, block), block
+            part.draws, part.block = draw_block(part.keys, *self._drawn, block), block
         longest, events, trails = 0, [], []
         passing = (clock + count) // stride - clock // stride
         for group in part.groups:
@@ -198,23 +198,23 @@ class Native:
         return longest, found, trails
 
     def _passed(
-        self, clock: int, longest: int, stride: int, trails: Sequence[Array]
-    ) -> Passed | None:
+        self, clock: int, longest: int, stride: int, trails: Sequence[_Array]
+    ) -> TrailPoints | None:
         clocks = range(clock - clock % stride + stride, clock + longest + 1, stride)
         if not clocks:
             return None
         found = np.concatenate(trails, axis=1)[: len(clocks), : min(WATCHED, self._size)]
         trail = torch.from_numpy(found)
-        return Passed(clocks, trail[..., :-1], trail[..., -1] != 0)
+        return TrailPoints(clocks, trail[..., :-1], trail[..., -1] != 0)
 
-    def _ended(self, parts: Sequence[Array]) -> Ended | None:
+    def _ended(self, parts: Sequence[_Array]) -> EndedEpisodes | None:
         events = np.concatenate(parts)
         if not len(events):
             return None
         events = events[np.lexsort((events[:, 1], events[:, 0]))]
         whole = events[:, :5].astype(np.int64)
         states = torch.from_numpy(events[:, 6:])
-        return Ended(
+        return EndedEpisodes(
             clocks=whole[:, 0].tolist(),
             rows=whole[:, 1].tolist(),
             begun=whole[:, 3].tolist(),
@@ -226,5 +226,5 @@ class Native:
         )
 
 
-def _nothing(drawn: tuple[int, int], lanes: int) -> tuple[Array, Array]:
+def _nothing(drawn: tuple[int, int], lanes: int) -> tuple[_Array, _Array]:
     return np.zeros((lanes, 1, drawn[0])), np.zeros((lanes, 1, drawn[1]))

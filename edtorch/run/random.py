@@ -32,7 +32,7 @@ class Draw:
     normal: Tensor
 
 
-def drawn(
+def draw_block(
     keys: Sequence[tuple[int, int]], uniforms: int, normals: int, block: int
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """The numbers of the ticks ``block`` BLOCK, ..., uniform ``[B, BLOCK, uniforms]`` and standard
@@ -84,7 +84,7 @@ class Streams:
         return self._uniform[row], self._normal[row]
 
     def _fill(self, block: int) -> None:
-        uniform, normal = drawn(self._keys, self._uniforms, self._normals, block)
+        uniform, normal = draw_block(self._keys, self._uniforms, self._normals, block)
         self._uniform, self._normal = self._laid_out(uniform), self._laid_out(normal)
         self._block = block
 

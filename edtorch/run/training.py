@@ -31,7 +31,7 @@ WATCHED = 16
 
 
 @dataclass(frozen=True)
-class Passed:
+class TrailPoints:
     """States of the first learners, for the trail, T of them in the order of their ticks.
 
     clocks: the ticks; world ``[T, W, k]``, before new episodes began; active ``[T, W]``: whether
@@ -44,7 +44,7 @@ class Passed:
 
 
 @dataclass(frozen=True)
-class Ended:
+class EndedEpisodes:
     """Episodes that have ended, E of them in the order of their ticks, then of the learners.
 
     clocks: the ticks; rows: of the learners; begun: tick at which each began; numbers: which one of
@@ -62,7 +62,7 @@ class Ended:
     earned: Tensor
 
 
-Note = Callable[[Passed | None, Ended | None], None]
+Note = Callable[[TrailPoints | None, EndedEpisodes | None], None]
 """Takes what happened in some ticks, later ones at later calls; None for nothing."""
 
 
@@ -142,15 +142,15 @@ class Eager:
         return now - clock
 
 
-def _passed(happened: Happened[LearnerState]) -> Passed:
+def _passed(happened: Happened[LearnerState]) -> TrailPoints:
     world, active = happened.after.world[:WATCHED], happened.before.active[:WATCHED]
-    return Passed([happened.clock], world.unsqueeze(0), active.unsqueeze(0))
+    return TrailPoints([happened.clock], world.unsqueeze(0), active.unsqueeze(0))
 
 
-def _ended(happened: Happened[LearnerState]) -> Ended:
+def _ended(happened: Happened[LearnerState]) -> EndedEpisodes:
     before, after = happened.before, happened.after
     rows = happened.outcome.nonzero().flatten()
-    return Ended(
+    return EndedEpisodes(
         clocks=[happened.clock] * len(rows),
         rows=rows.tolist(),
         begun=before.begun[rows].tolist(),
@@ -269,7 +269,7 @@ class Training:
             )
         return self.clock - began
 
-    def _note(self, passed: Passed | None, ended: Ended | None) -> None:
+    def _note(self, passed: TrailPoints | None, ended: EndedEpisodes | None) -> None:
         """Add to trail and episodes what happened."""
         trails = [] if ended is None else self._cut(passed, ended)
         if passed is not None:
@@ -277,7 +277,7 @@ class Training:
         if ended is not None:
             self._record(ended, trails)
 
-    def _cut(self, passed: Passed | None, ended: Ended) -> list[tuple[int, int]]:
+    def _cut(self, passed: TrailPoints | None, ended: EndedEpisodes) -> list[tuple[int, int]]:
         """Where in the trail each of the episodes is; passed: what is to be added to it."""
         found = []
         for clock, row in zip(ended.clocks, ended.rows, strict=True):
@@ -291,7 +291,7 @@ class Training:
             self._trail_start[row] = last
         return found
 
-    def _record(self, ended: Ended, trails: Sequence[tuple[int, int]]) -> None:
+    def _record(self, ended: EndedEpisodes, trails: Sequence[tuple[int, int]]) -> None:
         ticks = [clock - first for clock, first in zip(ended.clocks, ended.begun, strict=True)]
         found = finished(
             self.world,
