@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from torch import Tensor
 
-from sims.rows import HasRows, Namespace, NoRows, Rows, rows_of
+from sims.rows import HasRows, Namespace, Rows, rows_of
 
 
 def _sign(x: float) -> float:
@@ -112,18 +112,11 @@ def numba_namespace(key: str) -> Namespace:
 def compiled(sim: HasRows, key: str) -> Rows:
     """The rows of ``sim``, its functions compiled by numba when they are first called.
 
-    NoRows where the simulator has none, or constants that are no numbers; ValueError where its rows
-    are wrong (``sims.rows.rows_of``).
+    Raises NoRows and ValueError as ``sims.rows.rows_of``.
     """
+    rows_of(sim)
     xp = numba_namespace(key)
-    rows = rows_of(sim, xp)
-    names = getattr(rows.constants, "_fields", range(len(rows.constants)))
-    for name, value in zip(names, rows.constants, strict=True):
-        if not isinstance(value, float | int):
-            raise NoRows(
-                f"{type(sim).__name__}.rows: constants.{name} is a {type(value).__name__}:"
-                " compiled code takes numbers"
-            )
+    rows = sim.rows(xp)
     # All of one type: whole numbers would be compiled apart.
     constants: Any = [float(value) for value in rows.constants]
     constants = getattr(type(rows.constants), "_make", tuple)(constants)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sims.base import Judged, Lasting, Losing, Outcome, Rewarded, Sim, Spec, spec_index
-from sims.rows import NoRows, rows_of
+from sims.rows import NoRows, torch_rows_of
 
 Shape = tuple[int, ...]
 
@@ -232,7 +232,7 @@ def _check_singles(make: Callable[[], Sim], steps: int, generator: torch.Generat
 
 def _check_rows(sim: Any) -> None:
     try:
-        rows_of(sim)
+        torch_rows_of(sim)
     except NoRows:
         return
     except ValueError as error:

@@ -121,6 +121,9 @@ TORCH = cast(
     ),
 )
 
+_OTHER = cast(Namespace, SimpleNamespace(**vars(TORCH)))
+"""Not ``TORCH``: what a simulator raises for it, it raises for numba's."""
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -178,12 +181,11 @@ class HasRows(Protocol):
         ...
 
 
-def rows_of(sim: HasRows, xp: Namespace = TORCH) -> Rows:
-    """``sim.rows(xp)``, tried in torch on zeros before.
+def torch_rows_of(sim: HasRows) -> Rows:
+    """``sim.rows(TORCH)``, tried on zeros.
 
     ValueError, one line, names the first member that is missing or returns something else than
-    ``Rows`` says.  NoRows where the simulator has none, and, for another namespace than torch's,
-    where a subclass overrides one of the tensor functions alone.
+    ``Rows`` says.
     """
     name = type(sim).__name__
     try:
@@ -191,26 +193,40 @@ def rows_of(sim: HasRows, xp: Namespace = TORCH) -> Rows:
     except NoRows:
         raise
     except (TypeError, ValueError) as error:
-        missing = str(error).partition("required positional argument")[2].strip(": ")
-        reason = f"expected a function `{missing.strip(chr(39))}`" if missing else str(error)
+        missing = str(error).partition("required positional argument")[2].strip(": '")
+        reason = f"expected a function `{missing}`" if missing else str(error)
         raise ValueError(f"{name}.rows: {reason}") from error
     if not isinstance(rows, Rows):
         raise ValueError(f"{name}.rows: returned {type(rows).__name__}, expected Rows")
-    fallible = hasattr(sim, "stepped")
-    if rows.stepped is not None and not fallible:
+    if rows.stepped is not None and not hasattr(sim, "stepped"):
         raise ValueError(f"{name}.rows: gives `stepped`, expected {name} to be a FallibleRowSim")
     _try(name, rows, sim.spec)
-    if xp is TORCH:
-        return rows
-    if fallible and rows.stepped is None:
-        raise NoRows(f"{name}: its `stepped` is not among its rows")
-    kind = type(sim)
+    return rows
+
+
+def rows_of(sim: HasRows) -> Rows:
+    """The rows in torch of a simulator whose rows can be compiled, found out without compiling.
+
+    NoRows where it has none in other namespaces, its constants are no numbers, or a subclass
+    overrides one of the tensor functions alone; ValueError as ``torch_rows_of``.
+    """
+    rows, kind = torch_rows_of(sim), type(sim)
+    sim.rows(_OTHER)
+    if rows.stepped is None and hasattr(sim, "stepped"):
+        raise NoRows(f"{kind.__name__}: its `stepped` is not among its rows")
     written = kind.__mro__.index(next(c for c in kind.__mro__ if "rows" in vars(c)))
     for c in kind.__mro__[:written]:
         for member in ("initial", "restart", "step", "observe", "outcome", "stepped"):
             if member in vars(c):
-                raise NoRows(f"{name}: overrides `{member}` and not `rows`")
-    return sim.rows(xp)
+                raise NoRows(f"{kind.__name__}: overrides `{member}` and not `rows`")
+    names = getattr(rows.constants, "_fields", range(len(rows.constants)))
+    for name, value in zip(names, rows.constants, strict=True):
+        if not isinstance(value, float | int):
+            raise NoRows(
+                f"{kind.__name__}.rows: constants.{name} is a {type(value).__name__}:"
+                " compiled code takes numbers"
+            )
+    return rows
 
 
 def _try(name: str, rows: Rows, spec: Spec) -> None:
@@ -299,7 +315,7 @@ class RowSim:
 
     @cached_property
     def _rows(self) -> Rows:
-        return rows_of(cast(HasRows, self))
+        return torch_rows_of(cast(HasRows, self))
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the functions, which cannot be pickled."""

@@ -263,25 +263,25 @@ def test_sims_that_have_no_rows_say_why() -> None:
     moved = sim.step(start, torch.zeros(3, 2).double(), torch.zeros(3, 1).double())
     assert moved.shape == (3, 10)
     with pytest.raises(NoRows, match=r"^integrate=own: over rows there are only semi_implicit and"):
-        compiled(sim, "own")
+        rows_of(sim)
 
     masses = torch.linspace(50, 70, 3).double()
     with pytest.raises(NoRows, match=r"constants\.M_p is a Tensor: compiled code takes numbers"):
-        compiled(Bicycle(physics=Physics(M_p=masses)), "masses")
+        rows_of(Bicycle(physics=Physics(M_p=masses)))
 
     class Slow(Bicycle):
         def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
             return state
 
     with pytest.raises(NoRows, match=r"^Slow: overrides `step` and not `rows`"):
-        compiled(Slow(), "slow")
+        rows_of(Slow())
 
     class Jumpy(Pole):
         def stepped(self, state: Tensor) -> Tensor:
             return state[..., 0] > 0
 
     with pytest.raises(NoRows, match=r"^Jumpy: its `stepped` is not among its rows"):
-        compiled(Jumpy(), "jumpy")
+        rows_of(Jumpy())
 
 
 def test_constants_are_floats_when_compiled() -> None:
