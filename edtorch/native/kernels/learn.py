@@ -16,7 +16,9 @@ def see(z, s, number, observation):
                 limit = z[(LIMIT + i) * LANES + l]
                 start = smaller(larger(before, -limit), limit)
             s[(PHI + MODEL_CONSTANT + i) * LANES + l] = start
-            s[(END + i) * LANES + l] = start + moved
+            # Bounded, the transition goes as far as it went; else it ends where it ended, on the
+            # other side of the seam of an angle too.
+            s[(END + i) * LANES + l] = start + moved if LIMITED else s[(NEXT + i) * LANES + l]
             if INTEGRATES:
                 s[(TARGET + i) * LANES + l] = moved / number[TICK]
             else:
