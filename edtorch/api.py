@@ -27,6 +27,7 @@ from edtorch.app.arguments import (
     reward_of,
 )
 from edtorch.app.compose import compose
+from edtorch.app.compute import evaluation_mode
 from edtorch.app.domain import build_sim
 from edtorch.app.errors import EXPECTED, ConfigError, one_line
 from edtorch.app.given import Given, with_objects
@@ -160,6 +161,7 @@ def learn(
             summary=job.summary(),
             write=lambda folder: write_run(job, memory, folder, interrupted=interrupted),
             interrupted=interrupted,
+            native=evaluation_mode(config),
         )
     if save is not None:
         run.save(save)
@@ -207,6 +209,7 @@ def load(
             summary=summary,
             write=copied(path),
             interrupted=not summary,
+            native=evaluation_mode(config),
         )
 
 

@@ -81,8 +81,6 @@ def build(config: Settings, budget: Budget | None = None) -> Setup:
     if config.log.transitions:
         check_recording(budget, World(sim), config.seeds)
     device = device_of(config.compute)
-    if config.log.transitions:
-        refuse_kernels(config.compute, "log.transitions=true, which are kept tick by tick")
     if has_inverse(config):
         refuse_kernels(config.compute, "an inverse model")
         if device.type != "cpu":

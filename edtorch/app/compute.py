@@ -5,26 +5,27 @@ from __future__ import annotations
 import logging
 import math
 import os
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import torch
 
 from edtorch.app.errors import ConfigError
+from edtorch.app.settings import Settings
 from edtorch.learner.learner import AnyLearner
-from edtorch.native.plan import NoKernel, plan_of
+from edtorch.native.apart import Halves
+from edtorch.native.evaluation import Mode
+from edtorch.native.layout import RowLayout
+from edtorch.native.plan import NoKernel, learner_plan, plan_of
 from edtorch.native.program import Unavailable, numba
 from edtorch.native.stage import Native
 from edtorch.run.episodes import Budget
-from edtorch.run.random import BLOCK
-from edtorch.run.recorder import kept_bytes
+from edtorch.run.random import BLOCK, learning_streams
+from edtorch.run.recorder import Recorder, kept_bytes
 from edtorch.run.scaled_sim import World
 from edtorch.run.tick import Tick
 from edtorch.run.training import Training
 
 logger = logging.getLogger("edtorch")
-
-Mode = Literal["auto", "on", "off"]
-"""Whether kernels are used: where the parts have them, or else it is an error, or never."""
 
 _BYTES = 8
 """Of a number."""
@@ -53,6 +54,12 @@ def device_of(config: Any) -> torch.device:
     return torch.device(config.device)
 
 
+def evaluation_mode(config: Settings) -> Mode:
+    """How a run with this configuration is evaluated: with ``on`` the learner has kernels, and the
+    run is not to fail at its end where the world has none."""
+    return "off" if config.compute.native == "off" else "auto"
+
+
 def refuse_kernels(config: Any, what: str) -> None:
     """ConfigError where kernels are asked for and ``what`` has none."""
     if config.native == "on":
@@ -64,7 +71,8 @@ def check_kernels(learner: AnyLearner, world: World) -> None:
     uniform = torch.zeros(1, world.uniforms, dtype=world.dtype)
     tick = Tick(learner, world)
     try:
-        plan_of(tick, tick.first(learner.initial([0]), world.initial(uniform)))
+        population = tick.first(learner.initial([0]), world.initial(uniform))
+        learner_plan(learner, world, RowLayout.of(population))
         numba()
     except NoKernel as error:
         raise ConfigError(
@@ -74,18 +82,19 @@ def check_kernels(learner: AnyLearner, world: World) -> None:
         raise ConfigError(f"compute.native=on: {error}") from error
 
 
-def into_kernels(training: Training, mode: Mode, threads: int) -> str:
+def into_kernels(
+    training: Training, mode: Mode, threads: int, recorder: Recorder | None = None
+) -> str:
     """Let a population go on in kernels where its parts have them; says what became of it.
 
-    The kinds of parts alone decide.  Raises ConfigError where kernels are asked for and do not
-    compile.
+    The kinds of parts alone decide: where a world has no kernel, or its transitions are kept by a
+    ``recorder``, the learners are in kernels all the same.  Raises ConfigError where kernels are
+    asked for and do not compile.
     """
     if mode == "off":
         return "uncompiled"
-    population, seeds = training.stage.population, training.seeds
     try:
-        plan = plan_of(training.tick, population)
-        training.stage = Native(plan, training.tick, population, seeds, threads=threads)
+        return _into_kernels(training, threads, recorder)
     except NoKernel as error:
         return f"uncompiled: there is no kernel for {error}"
     except Unavailable as error:
@@ -93,6 +102,19 @@ def into_kernels(training: Training, mode: Mode, threads: int) -> str:
             raise ConfigError(f"compute.native=on: {error}") from error
         logger.warning("uncompiled, some hundred times slower: %s", error)
         return "uncompiled"
+
+
+def _into_kernels(training: Training, threads: int, recorder: Recorder | None) -> str:
+    tick, population, seeds = training.tick, training.stage.population, training.seeds
+    try:
+        if recorder is not None:
+            raise NoKernel("keeping every transition")
+        plan = plan_of(tick, population)
+        training.stage = Native(plan, tick, population, seeds, threads=threads)
+    except NoKernel as missing:
+        streams = learning_streams(training.world, seeds)
+        training.stage = Halves(tick, population, streams, recorder)
+        return f"learners compiled, but not the world: there is no kernel for {missing}"
     return "compiled"
 
 

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from rich.box import SIMPLE
@@ -25,13 +25,16 @@ from edtorch.app.rundir import POLICY, command_line, json_text, load_config, ver
 from edtorch.app.schema import checked_fields
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
+from edtorch.native.evaluation import Mode, evaluate_policies
+from edtorch.native.plan import NoKernel
+from edtorch.native.program import Unavailable
 from edtorch.report.domain import RETURN, Domain
 from edtorch.report.quantities import evaluation, told_of
 from edtorch.report.statistics import evaluation_figures
 from edtorch.report.text import number
 from edtorch.run.checkpoint import write_text
 from edtorch.run.episodes import Episode
-from edtorch.run.evaluation import evaluate, evaluate_controller
+from edtorch.run.evaluation import evaluate_controller
 from edtorch.run.scaled_sim import World
 from sims.base import baselines_of
 
@@ -107,6 +110,8 @@ def _evaluate(config: Settings) -> float:
     check_numbers(config)
     at_least("episodes", config.episodes, 1)
     at_least("threads", config.threads, 1)
+    if config.native not in get_args(Mode):
+        raise ConfigError(f"native={config.native}: expected one of {', '.join(get_args(Mode))}")
     torch.set_num_threads(config.threads)
     folder = Path(config.run)
     run_config = load_config(folder)
@@ -123,15 +128,23 @@ def _evaluate(config: Settings) -> float:
     seeds = stored.seeds
 
     began = time.monotonic()
-    episodes = evaluate(
-        stored.actor,
-        stored.parameters,
-        world,
-        seeds,
-        config.episodes,
-        observer=stored.observer,
-        among=_lived(folder, world, seeds) if config.policy is None else (),
-    )
+    try:
+        episodes = evaluate_policies(
+            stored.actor,
+            stored.parameters,
+            world,
+            seeds,
+            config.episodes,
+            native=config.native,
+            observer=stored.observer,
+            among=_lived(folder, world, seeds) if config.policy is None else (),
+        )
+    except NoKernel as error:
+        raise ConfigError(
+            f"native=on: there is no kernel for {error}; expected auto or off"
+        ) from error
+    except Unavailable as error:
+        raise ConfigError(f"native=on: {error}") from error
     domain = described(world, measured(episodes))
     baselines = _baselines(config, world, domain, seeds)
     figures = evaluation_figures(episodes, domain.measures, domain.words)

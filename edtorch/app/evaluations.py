@@ -11,8 +11,10 @@ from torch import Tensor
 
 from edtorch.app.best import Kept, better
 from edtorch.app.build import Setup
+from edtorch.app.compute import evaluation_mode
 from edtorch.app.settings import Settings
 from edtorch.app.trials import Paid, Trials
+from edtorch.native.evaluation import Mode, evaluate_policies
 from edtorch.report.domain import Domain
 from edtorch.report.legacy import MINUTES
 from edtorch.report.milestones import checkpoint_figures, milestone_figures
@@ -20,7 +22,6 @@ from edtorch.report.quantities import EVALUATION, evaluation, told_of
 from edtorch.report.statistics import Spread, evaluation_figures
 from edtorch.report.text import number
 from edtorch.run.episodes import Episode
-from edtorch.run.evaluation import evaluate
 from edtorch.run.milestones import MILESTONES
 from edtorch.types import LearnerState, Parameters
 
@@ -98,6 +99,7 @@ class Evaluations:
 
     def __init__(self, setup: Setup, config: Settings, domain: Domain) -> None:
         self._setup = setup
+        self._native: Mode = evaluation_mode(config)
         self._episodes: int = config.eval.episodes
         self._judged: int = config.eval.keep
         minutes = config.eval.minutes if self._episodes else []
@@ -198,12 +200,13 @@ class Evaluations:
         seeds = [self._setup.seeds[row] for row in rows]
         # A world of its own: one that wraps a simulator is still in its last episode.
         learner, world = self._setup.learner, self._setup.calm()
-        return evaluate(
+        return evaluate_policies(
             learner.policy,
             picked,
             world,
             seeds,
             count,
+            native=self._native,
             observer=learner.observer,
             among=self._among,
         )

@@ -258,7 +258,8 @@ class Evaluate:
 
     run: folder of a run; policy: a file, by default the run's own; episodes: per seed; domain:
     settings that replace the run's own; baselines: whether to evaluate the domain's own controllers
-    in the same episodes; yardsticks: its name before 0.1.0.
+    in the same episodes; yardsticks: its name before 0.1.0; native: auto, on or off
+    (``edtorch.native.evaluation``); threads: as in training.
     """
 
     run: str
@@ -267,6 +268,7 @@ class Evaluate:
     domain: Mapping[str, Any] = _empty()
     baselines: bool = False
     yardsticks: bool = False
+    native: str = "auto"
     threads: int = 1
     debug: bool = False
 

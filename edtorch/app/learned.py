@@ -18,9 +18,9 @@ from edtorch.app.best import score
 from edtorch.app.domain import described, measured
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
+from edtorch.native.evaluation import Mode, evaluate_policies
 from edtorch.report.statistics import by_row
 from edtorch.run.episodes import Episode
-from edtorch.run.evaluation import evaluate
 from edtorch.run.random import Purpose, Streams, stream_key
 from edtorch.run.scaled_sim import World
 from edtorch.run.success import settled
@@ -40,7 +40,7 @@ class Run:
     parameters: of their policies, ``[S, ...]``; world: makes a fresh world to evaluate in; records:
     the episodes of learning; summary: the content of ``summary.json``; write: saves a complete run
     folder under a path that does not exist yet; interrupted: whether it was stopped by Ctrl-C
-    before the end of its budget.
+    before the end of its budget; native: whether evaluations use kernels.
     """
 
     def __init__(
@@ -55,10 +55,12 @@ class Run:
         summary: dict[str, Any],
         write: Callable[[Path], None],
         interrupted: bool = False,
+        native: Mode = "auto",
     ) -> None:
         self.seeds = list(seeds)
         self.summary = summary
         self.interrupted = interrupted
+        self._native: Mode = native
         self._actor = actor
         self._parameters = parameters
         self._observer = observer
@@ -154,12 +156,13 @@ class Run:
         return path
 
     def _fresh(self, episodes: int, purpose: Purpose) -> list[list[Episode]]:
-        return evaluate(
+        return evaluate_policies(
             self._actor,
             self._parameters,
             self._world(),
             self.seeds,
             episodes,
+            native=self._native,
             observer=self._observer,
             among=self._records,
             purpose=purpose,

@@ -46,7 +46,6 @@ class Learners(Learning):
         notes = [*self._fresh_notes(), *near_seams(config.reward, setup.world.spec)]
         if config.log.transitions:
             self._recorder = Recorder(setup.world, len(setup.seeds))
-            notes.insert(0, "every transition is kept: ticks are not compiled")
         self._training = training = Training(
             setup.learner,
             setup.world,
@@ -61,9 +60,8 @@ class Learners(Learning):
         title = f"{setup.world.spec.name}, {len(setup.seeds)} learners"
         super().__init__(setup, config, training, domain, title)
         budget = setup.budget.in_words(domain.words.successes)
-        self.computed = "uncompiled"
-        if self._recorder is None:
-            self.computed = into_kernels(training, config.compute.native, config.compute.threads)
+        own = config.compute
+        self.computed = into_kernels(training, own.native, own.threads, self._recorder)
         self.notes = [*notes, f"{title}; at most {budget} each; {setup.path}; {self.computed}"]
         self.measures = [m.name for m in domain.measures]
 

@@ -1,8 +1,8 @@
 """Where a population lies in the memory of kernels.
 
-A population is a tree of tensors ``[B, ...]``.  Kernels take groups of ``lanes`` learners: numbers
-as ``[G, R, lanes]`` float64 and counters as ``[G, C, lanes]`` int64, each leaf of the tree being
-some rows.
+A population, or its learners alone, is a tree of tensors ``[B, ...]``.  Kernels take groups of
+``lanes`` learners: numbers as ``[G, R, lanes]`` float64 and counters as ``[G, C, lanes]`` int64,
+each leaf of the tree being some rows.
 """
 
 from __future__ import annotations
@@ -13,9 +13,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch.utils import _pytree as pytree
-
-from edtorch.run.tick import Population
-from edtorch.types import LearnerState
 
 _FIRST = ("learners.model.", "learners.fit.", "learners.noise.")
 """What a fit changes lies together, in this order: it is kept or dropped as a whole."""
@@ -46,9 +43,9 @@ class RowLayout:
     counters: int
 
     @staticmethod
-    def of(population: Population[LearnerState]) -> RowLayout:
-        """For a population like this one."""
-        found, spec = pytree.tree_flatten_with_path(population)
+    def of(tree: Any) -> RowLayout:
+        """For a tree like this one."""
+        found, spec = pytree.tree_flatten_with_path(tree)
         tensors = {_name(path): tensor for path, tensor in found}
         rows = {True: 0, False: 0}
         leaves: dict[str, Leaf] = {}
@@ -60,27 +57,26 @@ class RowLayout:
             leaves[name] = leaf
         return RowLayout({name: leaves[name] for name in tensors}, spec, rows[False], rows[True])
 
-    def pack(
-        self, population: Population[LearnerState], lanes: int
-    ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-        """Numbers and counters; the last group is filled up with learners that are not active."""
-        size = len(population.worlds.active)
+    def pack(self, tree: Any, lanes: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+        """Numbers and counters; the last group is filled up with the last learner, not active."""
+        size = len(pytree.tree_leaves(tree)[0])
         groups = -(-size // lanes)
         index = np.minimum(np.arange(groups * lanes), size - 1)
         numbers = np.empty((groups, self.numbers, lanes))
         counters = np.empty((groups, self.counters, lanes), dtype=np.int64)
-        for tensor, leaf in zip(pytree.tree_leaves(population), self.leaves.values(), strict=True):
+        for tensor, leaf in zip(pytree.tree_leaves(tree), self.leaves.values(), strict=True):
             flat = tensor.detach().cpu().reshape(size, -1).numpy()[index]
             into = counters if leaf.counts else numbers
             into[:, leaf.rows] = flat.reshape(groups, lanes, -1).transpose(0, 2, 1)
-        active = self.leaves["worlds.active"].row
-        counters[-1, active, size - (groups - 1) * lanes :] = 0
+        active = self.leaves.get("worlds.active")
+        if active is not None:
+            counters[-1, active.row, size - (groups - 1) * lanes :] = 0
         return numbers, counters
 
     def unpack(
         self, numbers: np.ndarray[Any, Any], counters: np.ndarray[Any, Any], size: int
-    ) -> Population[LearnerState]:
-        """The first ``size`` learners as tensors."""
+    ) -> Any:
+        """The tree of the first ``size`` learners."""
         found = []
         for leaf in self.leaves.values():
             rows = (counters if leaf.counts else numbers)[:, leaf.rows]

@@ -31,10 +31,9 @@ from edtorch.policy.policies import CentredPolicy, LinearPolicy, gain_of
 from edtorch.policy.steps import DecayingStep, FullStep, PlainStep, SaturatedStep
 from edtorch.rewards import quadratic_form_of
 from edtorch.run.scaled_sim import World
-from edtorch.run.tick import Population, Tick
+from edtorch.run.tick import Population, Source, Tick
 from edtorch.types import LearnerState
 from edtorch.value.linear import LinearMeanOnly, LinearMoment
-from edtorch.value.linear.regulator import Regulator
 from edtorch.value.unroll import FromOrigin
 from sims.base import Actuated, Judged, Losing, Rewarded
 from sims.rows import NoRows, Rows, rows_of
@@ -60,7 +59,8 @@ class Plan:
     def number(self) -> tuple[dict[str, int], np.ndarray[Any, Any]]:
         """Where each of ``numbers`` begins in one array, and that array."""
         places, found = {}, []
-        for name, value in self.numbers.items():
+        # The one whose length is not a size of the program is the last.
+        for name, value in sorted(self.numbers.items(), key=lambda item: item[0] == "WEIGHTS"):
             places[name] = sum(map(len, found))
             flat = torch.as_tensor(value, dtype=torch.float64).detach().reshape(-1).numpy()
             # What is not used has a place all the same.
@@ -103,28 +103,60 @@ _KEPT = {
 
 def plan_of(tick: Tick[LearnerState], population: Population[LearnerState]) -> Plan:
     """The plan for ticks like this one.  Raises NoKernel with the first part that has none."""
-    learner, world = tick.learner, tick.world
-    if type(learner) is not Learner:
-        raise NoKernel("the inverse model")
-    if world.dtype != torch.float64 or world.device.type != "cpu":
-        raise NoKernel(f"{world.dtype} on {world.device.type}")
-    plan = Plan()
     layout = RowLayout.of(population)
-    _places(plan, layout)
-    _learner(plan, learner, world)
-    _world(plan, world)
+    plan = learner_plan(tick.learner, tick.world, layout)
+    plan.constants["WIDTH"] = layout.leaves["worlds.world"].shape[0]
+    add_world(plan, tick.world)
     schedule, most = tick.schedule, (tick.most_episodes, tick.most_successes)
     plan.numbers |= {
         "IMPROVE_FIRST": schedule.first,
         "OFTEN": schedule.often,
         "EVERY": schedule.every,
-        "LIMIT_TICKS": world.limit_ticks,
         "MOST_EPISODES": _NEVER if most[0] is None else most[0],
         "MOST_SUCCESSES": _NEVER if most[1] is None else most[1],
         "STRIDE": 1,
     }
+    return plan
+
+
+def learner_plan(learner: Source[LearnerState], world: World, layout: RowLayout) -> Plan:
+    """The part of a plan that is the learner's, with what it sees and does in the units of
+    ``World``.  Raises NoKernel."""
+    if type(learner) is not Learner:
+        raise NoKernel("the inverse model")
+    plan = begun(world)
+    _places(plan, layout)
+    _learner(plan, learner, world)
     _scratch(plan)
     return plan
+
+
+def begun(world: World) -> Plan:
+    """What every plan for this world begins with.  Raises NoKernel."""
+    if world.dtype != torch.float64 or world.device.type != "cpu":
+        raise NoKernel(f"{world.dtype} on {world.device.type}")
+    spec = world.spec
+    plan = Plan(constants={"CLIPS": int(spec.clip_action), "UNWRAPS": 0})
+    plan.numbers |= {
+        "TICK": world.seconds,
+        "STATE_SCALE": [1.0] * len(spec.state),
+        "ACTION_SCALE": [1.0] * len(spec.action),
+        "LOW": [q.low / q.scale for q in spec.action],
+        "HIGH": [q.high / q.scale for q in spec.action],
+    }
+    return plan
+
+
+def add_units(plan: Plan, world: World) -> None:
+    """From physical units to those of ``World``, angles counted on."""
+    plan.constants["UNWRAPS"] = int(world.unwraps)
+    plan.numbers |= {
+        "STATE_SCALE": [q.scale for q in world.spec.state],
+        "ACTION_SCALE": [q.scale for q in world.spec.action],
+        "UNWRAP_TURNS": world.turns,
+        "UNWRAP_PERIOD": world.period,
+        "FARTHEST": world.farthest,
+    }
 
 
 def _places(plan: Plan, layout: RowLayout) -> None:
@@ -135,45 +167,35 @@ def _places(plan: Plan, layout: RowLayout) -> None:
     ]
     last = max((layout.leaves[name].rows.stop for name in known), default=0)
     plan.constants["KNOWN"] = max(last, layout.leaves["learners.model.weight"].rows.stop)
-    plan.constants["WIDTH"] = layout.leaves["worlds.world"].shape[0]
+    plan.constants |= {"KEPT": layout.numbers, "COUNTERS": layout.counters}
 
 
 def _learner(plan: Plan, learner: Learner, world: World) -> None:
     if learner.observer is not None:
         raise NoKernel("estimates of the state")
-    model, policy = learner.model, learner.policy
-    first_model, first_policy = model.initial([0]), policy.initial([0])
+    model = learner.model
     if type(model) not in (DerivativeModel, NextStateModel):
         raise NoKernel(f"a model of the kind {type(model).__name__}")
-    dynamics, gain = dynamics_of(model, first_model, 1.0), None
-    if type(policy) in (LinearPolicy, CentredPolicy):
-        gain = gain_of(policy, first_policy)
+    dynamics = dynamics_of(model, model.initial([0]), 1.0)
     if dynamics is None:
         raise NoKernel("a model that is not linear in state and action")
-    if gain is None:
-        raise NoKernel("a policy that is not linear in the state")
+    add_policy(plan, learner.policy)
     path, origin = learner.value, None
     from_origin = type(path) is FromOrigin
     if isinstance(path, FromOrigin):
         path, origin = path.path, path.origin
     n, m = model.states, model.actions
     affine = getattr(path, "augmented", False)
-    affine = affine or dynamics.constant is not None or gain.constant is not None
+    affine = affine or dynamics.constant is not None or plan.constants["POLICY_CONSTANT"] == 1
     plan.constants |= {
-        "N": n,
-        "M": m,
         "K": model.regressors,
-        "KP": first_policy["weight"].shape[-1],
         "A": n + affine,
         "AFFINE": int(affine),
         "MODEL_CONSTANT": int(dynamics.constant is not None),
-        "POLICY_CONSTANT": int(gain.constant is not None),
         "INTEGRATES": int(model.integrates),
         "FROM_ORIGIN": int(from_origin),
     }
-    dt = world.seconds.item()
     plan.numbers |= {
-        "TICK": dt,
         "UNIT": model.time_unit(world.seconds),
         "PERIOD": model.period,
         "TURNS": torch.where(model.period > 0, 1 / model.period, 0.0),
@@ -196,6 +218,20 @@ def _learner(plan: Plan, learner: Learner, world: World) -> None:
     plan.constants["EXPLORES"] = 1
     plan.numbers["DEVIATION"] = [annealed.start, annealed.final, annealed.decay]
     _command(plan, learner)
+
+
+def add_policy(plan: Plan, policy: Any) -> None:
+    """Sizes and kind of a policy.  Raises NoKernel unless it is linear in the state."""
+    is_plain = type(policy) in (LinearPolicy, CentredPolicy)
+    gain = gain_of(policy, policy.initial([0])) if is_plain else None
+    if gain is None:
+        raise NoKernel("a policy that is not linear in the state")
+    plan.constants |= {
+        "N": gain.state.shape[-1],
+        "M": gain.state.shape[-2],
+        "KP": policy.weight.shape[-1],
+        "POLICY_CONSTANT": int(gain.constant is not None),
+    }
 
 
 def _fit(plan: Plan, fit: Any) -> None:
@@ -227,29 +263,23 @@ def _fit(plan: Plan, fit: Any) -> None:
 
 
 def _value(plan: Plan, path: Any, n: int, m: int) -> None:
-    kernels: Mapping[type, str] = {
-        LinearMeanOnly: "mean_value",
-        LinearMoment: "moment_value",
-        Regulator: "regulator_value",
-    }
+    kernels: Mapping[type, str] = {LinearMeanOnly: "mean_value", LinearMoment: "moment_value"}
     if type(path) not in kernels:
         raise NoKernel(f"a value of the kind {type(path).__name__}")
     plan.chosen["value"] = kernels[type(path)]
-    is_regulator, size = type(path) is Regulator, plan.constants["A"]
+    size = plan.constants["A"]
     state, action, cross = path.state_cost, path.action_cost, path.cross
     priced = action is not None or cross is not None
     is_diagonal = bool((state == torch.diag(state.diagonal())).all())
     plan.constants |= {"PRICED_ACTIONS": int(priced), "DIAGONAL": int(is_diagonal)}
     plan.numbers |= {
-        "UNROLL_TICK": path.horizon.dt if is_regulator else path.dt,
-        "COST_UNIT": path.horizon.unit if is_regulator else 1.0,
-        "DISCOUNT": path.horizon.discount**path.horizon.unit if is_regulator else 1.0,
+        "UNROLL_TICK": path.dt,
         "STATE_COST": state,
         "ACTION_COST": torch.zeros(m, m) if action is None else action,
         "CROSS_COST": torch.zeros(size, m) if cross is None else cross,
         "START_COV": getattr(path, "start_cov", torch.zeros(n, n)),
-        "STEPS": path.horizon.steps if is_regulator else len(path.weights),
-        "WEIGHTS": [] if is_regulator else path.weights,
+        "STEPS": len(path.weights),
+        "WEIGHTS": path.weights,
     }
 
 
@@ -302,7 +332,8 @@ def _command(plan: Plan, learner: Learner) -> None:
     }
 
 
-def _world(plan: Plan, world: World) -> None:
+def add_world(plan: Plan, world: World) -> None:
+    """The simulator's rows, and what ``World`` adds to them.  Raises NoKernel."""
     sim: Any = world.sim
     for protocol, what in (
         (Rewarded, "a reward of the simulator's own"),
@@ -324,23 +355,16 @@ def _world(plan: Plan, world: World) -> None:
     if world.reward is not None and form is None:
         raise NoKernel("a return that is not quadratic")
     rule = world.rule
+    add_units(plan, world)
     plan.constants |= {
-        "CLIPS": int(spec.clip_action),
-        "UNWRAPS": int(world.unwraps),
         "EARNS": int(form is not None),
         "RETURN_DECIDES": int(rule.least_return is not None and world.has_return),
         "LATE_SUCCEEDS": int(rule.survival is not False),
         "DISTURBANCES": spec.disturbance_dim,
         "RESETS": spec.reset_dim,
     }
-    scales = [q.scale for q in spec.state]
     plan.numbers |= {
-        "STATE_SCALE": scales,
-        "ACTION_SCALE": [q.scale for q in spec.action],
-        "LOW": [q.low / q.scale for q in spec.action],
-        "HIGH": [q.high / q.scale for q in spec.action],
-        "UNWRAP_TURNS": world.turns,
-        "FARTHEST": world.farthest,
+        "LIMIT_TICKS": world.limit_ticks,
         "LEAST_RETURN": rule.least_return or 0.0,
         "RETURN_STATE": torch.zeros(n, n) if form is None else form.state,
         "RETURN_ACTION": torch.zeros(m, m) if form is None else form.action,
@@ -352,23 +376,27 @@ def _world(plan: Plan, world: World) -> None:
     }
 
 
+def place(plan: Plan, widths: Mapping[str, int]) -> int:
+    """Put rows of these widths one after the other under their names; how many there are."""
+    rows = 0
+    for name, width in widths.items():
+        plan.constants[name] = rows
+        rows += width
+    return rows
+
+
 def _scratch(plan: Plan) -> None:
     """Places of the rows of scratch; and how many there are, SCRATCH, and those of the tape of an
     unroll for each of its steps, TAPE."""
     c = plan.constants
     n, m, k, a, kp = (c[name] for name in ("N", "M", "K", "A", "KP"))
-    vectors = {"ACTION": m, "NEXT": n, "END": n, "TARGET": n, "RESIDUAL": n, "PHI": k}
+    vectors = {"ACTION": m, "NORMAL": m, "NEXT": n, "END": n, "TARGET": n, "RESIDUAL": n, "PHI": k}
     vectors |= {"PROJECTED": k, "GAIN": k, "NEW": c["KNOWN"], "ADJOINT": a, "PULLED": a}
     matrices = {"GRADIENT": m * kp, "FULL": m * a, "GAINS": m * a, "PRICED": m * a, "INPUT": a * m}
-    matrices |= {"PUSHED": a * m, "PIVOTS": m * m}
     squares = dict.fromkeys(("DRIFT", "COST", "THROUGH", "MOMENT", "X", "Y", "OVER_STEP"), a * a)
     flags = (
-        "SOUND FIT_OK VALUE_OK GO VALID LIVES UNBROKEN OUTCOME ERROR VALUE NORM RATE DEVIATE DOUBT"
+        "SOUND FIT_OK VALUE_OK ERROR VALUE NORM GO VALID LIVES UNBROKEN OUTCOME RATE DEVIATE DOUBT"
         " ALLOWED SHARE"
     ).split()
-    rows = 0
-    for name, width in (vectors | matrices | squares | dict.fromkeys(flags, 1)).items():
-        c[name] = rows
-        rows += width
-    c["SCRATCH"] = rows
+    c["SCRATCH"] = place(plan, vectors | matrices | squares | dict.fromkeys(flags, 1))
     c["TAPE"] = a * a if plan.chosen["value"] == "moment_value" else a

@@ -32,7 +32,7 @@ logger = logging.getLogger("edtorch")
 
 FOLDER = Path(__file__).parent / "kernels"
 COMPILED_ROWS = Path(sims.rows.__file__).with_name("compiled_rows.py")
-TEXTS = ("learn.py", "improve.py", "live.py", "ticks.py")
+TEXTS = ("learn.py", "improve.py", "live.py", "ticks.py", "rides.py", "apart.py")
 _KNOWN = ("torch", "numba", "numpy")
 """Packages whose functions are what their names say."""
 LEAST_NUMBA = (0, 61)
@@ -151,25 +151,28 @@ class ModuleSource:
         return f"edtorch_{hashlib.sha256(content.encode()).hexdigest()[:24]}"
 
 
-def load_kernel(source: ModuleSource, entry: str, arguments: Sequence[object], what: str) -> Any:
-    """The function ``entry`` of a module, compiled for arguments like these; from disk if it was
+def load_kernel(
+    source: ModuleSource, entries: Mapping[str, Sequence[object]], what: str
+) -> list[Any]:
+    """Functions of a module, each compiled for arguments like these; from disk if they were
     compiled before, on this machine or another process of it.
 
-    what: it is called in messages.  Raises Unavailable if it does not compile.
+    entries: their names, and the arguments; what: they are called in messages.  Raises Unavailable
+    if they do not compile.
     """
     found = numba()
-    signature = tuple(found.typeof(argument) for argument in arguments)
+    signatures = {name: tuple(map(found.typeof, given)) for name, given in entries.items()}
     folder = cache_folder() / "native" / source.name
     try:
         with _locked(folder):
-            return _compiled(source, entry, signature, folder, what)
+            return _compiled(source, signatures, folder, what)
     except OSError as error:
         logger.warning(
             "EDTORCH_CACHE=%s: cannot be used (%s); kernels are compiled in every process",
             cache_folder(),
             error.strerror or error,
         )
-        return _compiled(source, entry, signature, None, what)
+        return _compiled(source, signatures, None, what)
 
 
 @contextmanager
@@ -181,16 +184,18 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _compiled(
-    source: ModuleSource, entry: str, signature: tuple[Any, ...], folder: Path | None, what: str
-) -> Any:
+    source: ModuleSource, signatures: Mapping[str, tuple[Any, ...]], folder: Path | None, what: str
+) -> list[Any]:
     sums = None if folder is None else folder / "sums"
     if folder is not None and not _is_whole(folder):
         _clear(folder)
     if folder is None or not (folder / "sums").exists():
         logger.info("compiling %s (some 10 s, once)...", what)
     try:
-        function = _module(source, folder).__dict__[entry]
-        function.compile(signature)
+        module = _module(source, folder)
+        functions = [module.__dict__[name] for name in signatures]
+        for function, signature in zip(functions, signatures.values(), strict=True):
+            function.compile(signature)
     except OSError:
         raise
     except Exception as error:
@@ -198,7 +203,7 @@ def _compiled(
         raise Unavailable(f"{what}: does not compile: {_cause(error)}") from error
     if folder is not None and sums is not None and not sums.exists():
         sums.write_text(_sums(folder), encoding="utf-8")
-    return function
+    return functions
 
 
 def _cause(error: Exception) -> str:

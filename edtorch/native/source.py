@@ -10,22 +10,22 @@ import numpy as np
 
 from edtorch.native.plan import Plan
 from edtorch.native.program import ModuleSource, fingerprint, module_text
-from sims.rows import HasRows
 
 
 def source_of(
-    plan: Plan, sim: HasRows, lanes: int
+    plan: Plan, sim: Any, lanes: int
 ) -> tuple[ModuleSource, np.ndarray[Any, Any], tuple[float, ...]]:
-    """The module of a plan, what kernels are given as ``number``, and the simulator's constants.
+    """The module of a plan, what kernels are given as ``number``, and the constants of the
+    simulator, where the plan has its rows.
 
     Raises Unavailable for rows that cannot be told apart from others.
     """
-    rows = plan.rows
-    assert rows is not None
     places, number = plan.number()
-    c = plan.constants
-    key = fingerprint((rows.step, rows.observe, rows.outcome, rows.start, rows.stepped))
+    c, rows = plan.constants, plan.rows
     text = module_text({**c, **places, "LANES": lanes}, plan.chosen)
+    if rows is None:
+        return ModuleSource(text, "", {}), number, ()
+    key = fingerprint((rows.step, rows.observe, rows.outcome, rows.start, rows.stepped))
     text += _tuples(c)
     from sims.compiled_rows import compiled
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +19,6 @@ from edtorch.run.random import BLOCK, draw_block, learning_keys
 from edtorch.run.tick import Population, Tick
 from edtorch.run.training import WATCHED, EndedEpisodes, Note, TrailPoints
 from edtorch.types import LearnerState
-from sims.rows import HasRows
 
 LANES = 32
 """Learners of a group, side by side in memory."""
@@ -79,9 +78,7 @@ class Native:
         self._size = len(seeds)
         self._lanes = lanes = lanes_for(plan, self._size) if lanes is None else lanes
         self._layout = RowLayout.of(population)
-        source, self._number, self._constants = source_of(
-            plan, cast(HasRows, tick.world.sim), lanes
-        )
+        source, self._number, self._constants = source_of(plan, tick.world.sim, lanes)
         places = plan.number()[0]
         self._stride = places["STRIDE"]
         self._width = plan.constants["WIDTH"]
@@ -106,7 +103,7 @@ class Native:
         self._pool = ThreadPoolExecutor(len(self._slices)) if len(self._slices) > 1 else None
         what = f"the tick of {tick.world.spec.name}"
         arguments = self._arguments(self._slices[0], 0, 0, 1, 1, self._trail)
-        self._ticks = load_kernel(source, "ticks", arguments, what)
+        (self._ticks,) = load_kernel(source, {"ticks": arguments}, what)
 
     def _arguments(
         self, part: _Slice, group: int, row: int, clock: int, count: int, trail: _Array

@@ -44,7 +44,7 @@ def count_on(z, s, number, l):
     for i in range(N):
         wrapped = s[(NEXT + i) * LANES + l]
         turns = np.rint((z[(OBSERVATION + i) * LANES + l] - wrapped) * number[UNWRAP_TURNS + i])
-        unwrapped = wrapped + turns * number[PERIOD + i]
+        unwrapped = wrapped + turns * number[UNWRAP_PERIOD + i]
         if abs(unwrapped) <= number[FARTHEST + i]:
             wrapped = unwrapped
         s[(NEXT + i) * LANES + l] = wrapped

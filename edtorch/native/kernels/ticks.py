@@ -2,19 +2,26 @@
 
 
 @inner
+def count_sound(k, s, improved):
+    """Ticks up to the first one that was not sound."""
+    for l in range(LANES):
+        sound = s[UNBROKEN * LANES + l]
+        if improved:
+            sound *= s[VALUE_OK * LANES + l]
+        k[SOUND_TICKS * LANES + l] += int(sound)
+
+
+@inner
 def tally(z, k, s, improved):
-    """``edtorch.run.tick.Tally.add``, and the ticks that were sound."""
+    """``edtorch.run.tick.Tally.add``."""
     for l in range(LANES):
         lives = s[LIVES * LANES + l]
         z[TALLY_ERROR * LANES + l] += s[ERROR * LANES + l] * lives
         z[TALLY_TICKS * LANES + l] += lives
-        sound = s[UNBROKEN * LANES + l]
         if improved:
             z[TALLY_VALUE * LANES + l] += s[VALUE * LANES + l] * lives
             z[TALLY_GRADIENT * LANES + l] += s[NORM * LANES + l] * lives
             z[TALLY_UPDATES * LANES + l] += lives
-            sound *= s[VALUE_OK * LANES + l]
-        k[SOUND_TICKS * LANES + l] += int(sound)
         idle = lives == 0
         k[FINITE * LANES + l] &= 1 if idle or s[SOUND * LANES + l] > 0 else 0
         k[(FINITE + 1) * LANES + l] &= 1 if idle or s[FIT_OK * LANES + l] > 0 else 0
@@ -46,6 +53,7 @@ def ticks(
         if improves:
             improve(z, k, s, number, tape)
         advance(z, s)
+        count_sound(k, s, improves)
         tally(z, k, s, improves)
         if len(trail) > 0 and now % stride == 0:
             for l in range(LANES):
