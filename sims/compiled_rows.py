@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from torch import Tensor
 
+from sims import elementary
 from sims.rows import HasRows, Namespace, Rows, rows_of
 
 
@@ -81,12 +82,9 @@ def numba_namespace(key: str) -> Namespace:
     # A module: numba looks up its attributes when it compiles, those of other objects it does not.
     namespace = ModuleType(f"numba_namespace_{key}")
     vars(namespace).update(
-        sin=math.sin,
-        cos=math.cos,
+        **elementary.functions(jit),
         tan=math.tan,
         tanh=math.tanh,
-        atan=math.atan,
-        asin=math.asin,
         sqrt=math.sqrt,
         exp=math.exp,
         log=math.log,

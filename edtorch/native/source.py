@@ -49,6 +49,7 @@ def _tuples(c: dict[str, int]) -> str:
         f"s[(row + {i}) * LANES + l] = seen[{i}] / number[STATE_SCALE + {i}]" for i in range(c["N"])
     ]
     stored = [f"{place} = new[{i}]" for i, place in enumerate(state)]
+    moved = [f"{place} = new[{i}] if moves else old[{i}]" for i, place in enumerate(state)]
     return "".join(
         (
             _function("state_at(z, row, l)", [_returned(state)]),
@@ -56,6 +57,7 @@ def _tuples(c: dict[str, int]) -> str:
             _function("uniforms_at(uniform, l, t)", [_returned(drawn[: c["DISTURBANCES"]])]),
             _function("resets_at(uniform, l, t)", [_returned(drawn[c["DISTURBANCES"] :])]),
             _function("store_state(z, row, new, l)", stored),
+            _function("store_moved(z, row, old, new, moves, l)", moved),
             _function("store_seen(s, row, number, seen, l)", seen),
         )
     )

@@ -51,27 +51,35 @@ def count_on(z, s, number, l):
 
 
 @inner
+def move(z, s, number, constants, uniform, t):
+    """A step of every world, OUTCOME, NEXT and VALID; WORLD only where LIVES."""
+    for l in range(LANES):
+        here = state_at(z, WORLD, l)
+        there = world_step(here, action_at(s, number, l), uniforms_at(uniform, l, t), constants)
+        store_seen(s, NEXT, number, observe(there, constants), l)
+        s[VALID * LANES + l] = 1.0 if applies(there, constants) else 0.0
+        s[OUTCOME * LANES + l] = float(outcome_of(there, constants))
+        store_moved(z, WORLD, here, there, s[LIVES * LANES + l] != 0, l)
+
+
+@inner
 def live(z, k, s, number, constants, uniform, clock, t):
     """The worlds of the active learners, a tick on: WORLD, NEXT, VALID, EARNED, OUTCOME."""
     for l in range(LANES):
-        active = k[ACTIVE * LANES + l] != 0
-        s[LIVES * LANES + l] = 1.0 if active else 0.0
-        s[OUTCOME * LANES + l] = 0.0
-        s[VALID * LANES + l] = 0.0
-        if not active:
+        s[LIVES * LANES + l] = 1.0 if k[ACTIVE * LANES + l] != 0 else 0.0
+    move(z, s, number, constants, uniform, t)
+    for l in range(LANES):
+        if s[LIVES * LANES + l] == 0:
+            s[OUTCOME * LANES + l] = 0.0
+            s[VALID * LANES + l] = 0.0
             for i in range(N):
                 s[(NEXT + i) * LANES + l] = z[(OBSERVATION + i) * LANES + l]
             continue
-        here = state_at(z, WORLD, l)
-        there = world_step(here, action_at(s, number, l), uniforms_at(uniform, l, t), constants)
-        store_state(z, WORLD, there, l)
-        store_seen(s, NEXT, number, observe(there, constants), l)
         if UNWRAPS:
             count_on(z, s, number, l)
-        s[VALID * LANES + l] = 1.0 if applies(there, constants) else 0.0
         if EARNS:
             z[EARNED * LANES + l] += number[TICK] * reward(z, s, number, l)
-        outcome = outcome_of(there, constants)
+        outcome = int(s[OUTCOME * LANES + l])
         if outcome == 0 and clock - k[BEGUN * LANES + l] >= number[LIMIT_TICKS]:
             outcome = 3
         if RETURN_DECIDES and outcome != 0 and z[EARNED * LANES + l] >= number[LEAST_RETURN]:
