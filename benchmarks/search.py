@@ -1,10 +1,10 @@
 """How fast random policies are tried: simulator steps per CPU second, and whole small searches.
 
-The tile of ``edtorch.rivals`` beside compiled scalar code (numba, extra ``[bench]``: one episode
-after the other, as a careful C programmer would write it), interleaved in one process on one
-thread, so that ratios hold on a busy machine.  Compiling is left out of the speeds.
+The episodes of ``edtorch.rivals`` beside scalar code (numba: one episode after the other, as a
+careful C programmer would write it), interleaved in one process on one thread, so that ratios hold
+on a busy machine.  Compiling is left out of the speeds.
 
-    python -m benchmarks.search [--slots 256 512 1024] [--policies 2000] [--json FILE]
+    python -m benchmarks.search [--lanes 1 16] [--policies 5000] [--json FILE]
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ import platform
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numba  # pyright: ignore[reportMissingImports]
 import torch
@@ -23,11 +25,13 @@ import torch
 from benchmarks.search_peer import ride, search_serially
 from edtorch.app.compose import compose
 from edtorch.app.random_search import SearchSetup, build_search
-from edtorch.rivals.episodes import Tile
+from edtorch.rivals.episodes import Episodes
+from edtorch.rivals.native_episodes import EPISODE_LANES, NativeEpisodes
 from edtorch.rivals.random_search import RandomSearch, episode_key, policy_weights, search
+from edtorch.run.hashing import uniform
 from sims.base import Outcome
 
-LOOK = 128
+Result = TypeVar("Result")
 RIDES_ON = 341
 """With seed 0, a policy that rides to the goal: its episodes last 36,000 ticks."""
 
@@ -37,51 +41,45 @@ def setup_of(policies: int) -> SearchSetup:
     return build_search(compose(["experiment=footnote1", f"rival.policies={policies}"]))
 
 
-def cpu_s(work: Callable[[], object]) -> float:
-    """CPU seconds of one call."""
+def cpu_s(work: Callable[[], Result]) -> tuple[float, Result]:
+    """CPU seconds of one call, and its result."""
     began = time.process_time()
-    work()
-    return time.process_time() - began
+    result = work()
+    return time.process_time() - began, result
 
 
-def full_tile(setup: SearchSetup, slots: int, mode: str) -> Tile:
-    """Every slot rides, for long."""
-    tile = Tile(
-        setup.world, setup.policy, slots=slots, look=LOOK, mode="on" if mode == "on" else "off"
-    )
-    ids = torch.full((slots,), RIDES_ON)
+def inner_loop(setup: SearchSetup, lanes: list[int], rounds: int) -> dict[str, dict[str, float]]:
+    """Million steps per CPU second of rides to the goal, and CPU seconds to compile."""
+    ids = torch.full((max(lanes),), RIDES_ON)
     weights = policy_weights(setup.settings, setup.policy, setup.seed, ids)
-    tile.place(torch.arange(slots), weights, episode_key(setup.seed, ids, torch.arange(slots)))
-    return tile
-
-
-def inner_loop(setup: SearchSetup, sizes: list[int], rounds: int) -> dict[str, dict[str, float]]:
-    """Million steps per CPU second, and CPU seconds of the first call."""
-    weights = policy_weights(
-        setup.settings, setup.policy, setup.seed, torch.tensor([RIDES_ON])
-    ).numpy()
-    key = episode_key(setup.seed, torch.tensor([RIDES_ON]), torch.tensor([0])).numpy()
-    works: dict[str, Callable[[], object]] = {
-        "numba, scalar": lambda: ride(weights[0], key[0, 0], key[0, 1], 20_000)
+    keys = episode_key(setup.seed, ids, torch.arange(len(ids)))
+    world, limit = setup.world, setup.world.limit_ticks
+    start = world.initial(uniform(keys, torch.zeros_like(ids), world.uniforms))
+    weight, (first, second) = weights[0].numpy(), keys[0].tolist()
+    works: dict[str, Callable[[], int]] = {
+        "numba, scalar": lambda: int(ride(weight, first, second, limit)[1])
     }
-    steps = {"numba, scalar": 20_000}
-    for mode, word in (("on", "compiled"), ("off", "eager")):
-        for slots in sizes:
-            name = f"tile, {word}, {slots} slots"
-            tile = full_tile(setup, slots, mode)
-            calls = 8 if mode == "on" else 1
-            works[name] = lambda tile=tile, calls=calls: [tile.advance() for _ in range(calls)]
-            steps[name] = slots * LOOK * calls
-    first: dict[str, float] = {}
+    cost: dict[str, float] = {"numba, scalar": cpu_s(works["numba, scalar"])[0]}
+
+    def ridden(episodes: Episodes, count: int) -> int:
+        before = episodes.steps
+        for _ in episodes.pieces(weights[:count], keys[:count], start[:count]):
+            pass
+        return episodes.steps - before
+
+    for count in lanes:
+        name = f"edtorch, {count} lanes"
+        cost[name], episodes = cpu_s(
+            partial(NativeEpisodes, world, setup.policy, None, limit, lanes=count)
+        )
+        works[name] = partial(ridden, episodes, count)
     samples: dict[str, list[float]] = {name: [] for name in works}
-    with torch.inference_mode():
+    for _ in range(rounds):
         for name, work in works.items():
-            first[name] = cpu_s(work)
-        for _ in range(rounds):
-            for name, work in works.items():
-                samples[name].append(steps[name] / cpu_s(work) / 1e6)
+            seconds, steps = cpu_s(work)
+            samples[name].append(steps / seconds / 1e6)
     return {
-        name: {"million_steps_per_cpu_s": statistics.median(values), "first_call_s": first[name]}
+        name: {"million_steps_per_cpu_s": statistics.median(values), "first_call_s": cost[name]}
         for name, values in samples.items()
     }
 
@@ -97,30 +95,29 @@ def whole_search(setup: SearchSetup, settings: RandomSearch) -> dict[str, dict[s
         setup.policy,
         seed=setup.seed,
         processes=1,
-        mode="on",
+        native="on",
         report=lambda progress: None,
     )
-    began = time.process_time()
-    outcome, ticks = search_serially(weights, keys)
-    serial_s = time.process_time() - began
+    search_serially(weights[:1], keys[:1])
+    serial_s, (outcome, ticks) = cpu_s(lambda: search_serially(weights, keys))
     goal = int((outcome == int(Outcome.SUCCEEDED)).all(-1).sum())
-    tile_s = found.cpu_s - found.compile_s
+    own_s = found.cpu_s - found.compile_s
     return {
-        "tile": {"cpu_s": tile_s, "goal": int(found.goal.sum()), "steps": found.steps},
+        "edtorch": {"cpu_s": own_s, "goal": int(found.goal.sum()), "steps": found.steps},
         "numba, scalar": {"cpu_s": serial_s, "goal": goal, "steps": int(ticks.sum())},
     }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="How fast random policies are tried.")
-    parser.add_argument("--slots", type=int, nargs="+", default=[256, 512, 1024])
+    parser.add_argument("--lanes", type=int, nargs="+", default=[1, EPISODE_LANES])
     parser.add_argument("--policies", type=int, default=5000)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(1)
     setup = setup_of(options.policies)
-    inner = inner_loop(setup, options.slots, options.rounds)
+    inner = inner_loop(setup, options.lanes, options.rounds)
     peer = inner["numba, scalar"]["million_steps_per_cpu_s"]
     print(f"{'inner loop':28}{'M steps/CPU s':>16}{'of numba':>10}{'first call, s':>15}")
     for name, row in inner.items():
@@ -130,8 +127,8 @@ def main() -> None:
     print(f"\n{f'{options.policies} policies, 30 runs':28}{'CPU s':>16}{'goal':>10}{'M steps':>15}")
     for name, row in whole.items():
         print(f"{name:28}{row['cpu_s']:16.2f}{row['goal']:10.0f}{row['steps'] / 1e6:15.2f}")
-    ratio = whole["tile"]["cpu_s"] / whole["numba, scalar"]["cpu_s"]
-    print(f"tile / numba: {ratio:.2f}")
+    ratio = whole["edtorch"]["cpu_s"] / whole["numba, scalar"]["cpu_s"]
+    print(f"edtorch / numba: {ratio:.2f}")
     if options.json is not None:
         content = {
             "inner_loop": inner,

@@ -13,7 +13,7 @@ from edtorch.app.errors import ConfigError
 from edtorch.app.settings import Settings
 from edtorch.learner.learner import AnyLearner
 from edtorch.native.apart import Halves
-from edtorch.native.evaluation import Mode
+from edtorch.native.choice import Mode
 from edtorch.native.layout import RowLayout
 from edtorch.native.plan import NoKernel, learner_plan, plan_of
 from edtorch.native.program import Unavailable, numba

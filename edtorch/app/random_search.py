@@ -18,11 +18,11 @@ from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compute import device_of
 from edtorch.app.construct import construct, target_class
 from edtorch.app.domain import build_sim, described
-from edtorch.app.errors import ConfigError
+from edtorch.app.errors import ConfigError, under
 from edtorch.app.job import Job, Work
 from edtorch.app.policy import build_linear_policy, policy_card
 from edtorch.app.settings import Settings
-from edtorch.compiled.compilation import CompileMode
+from edtorch.native.choice import Mode
 from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import milestone_figures
 from edtorch.report.proportions import Proportion
@@ -34,6 +34,7 @@ from edtorch.rivals.random_search import (
     policy_weights,
     search,
 )
+from edtorch.rivals.runs import Runs, check_runnable
 from edtorch.run.log import Entry
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
@@ -50,7 +51,7 @@ class SearchSetup:
     policy: LinearPolicy
     seed: int
     processes: int
-    mode: CompileMode
+    native: Mode
 
 
 def is_rival(config: Settings) -> bool:
@@ -160,6 +161,10 @@ class RandomPolicies(Work):
     COUNTS = ("decided", "goal", "stable", "steps")
 
     def __init__(self, setup: SearchSetup) -> None:
+        with under("rival"):
+            check_runnable(setup.world)
+            if setup.native == "on":
+                Runs(setup.world, setup.policy, native="on")
         self._setup = setup
         self._result: SearchResult | None = None
         self._steps = 0
@@ -202,7 +207,7 @@ class RandomPolicies(Work):
             setup.policy,
             seed=setup.seed,
             processes=setup.processes,
-            mode=setup.mode,
+            native=setup.native,
             report=report,
         )
         numbers = found.policy[found.goal].tolist()

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, cast
 
 import torch
 from rich.table import Table
@@ -34,7 +34,7 @@ from edtorch.report.milestones import checkpoint_figures, milestone_figures
 from edtorch.report.statistics import Spread, aliases
 from edtorch.rivals.base import Problem, Rival, Search, Storing
 from edtorch.rivals.ledger import FirstGoal
-from edtorch.rivals.runs import SLOTS, Runs, can_try, evaluator, fresh_episodes
+from edtorch.rivals.runs import Runs, can_try, evaluator, fresh_episodes
 from edtorch.run.checkpoint import PolicyCard
 from edtorch.run.episodes import Budget, Episode
 from edtorch.run.evaluation import evaluate
@@ -97,7 +97,7 @@ def build_rival(config: Settings) -> RivalSetup:
         policy=build_linear_policy(config.policy, sim, dtype, config.seed),
         reward=reward,
         seeds=range(config.seed, config.seed + config.seeds),
-        compile=config.compute.native,
+        native=config.compute.native,
     )
     rival = construct("rival", config.rival, "begin")
     name = str(config.rival._target_).rsplit(".", 1)[-1]
@@ -123,7 +123,7 @@ def _refuse_parts_of_learners(config: Settings) -> None:
 
 
 class _Fresh:
-    """Evaluates the current policies; plain linear ones use the compiled evaluator."""
+    """Evaluates the current policies; those linear in features by ``fresh_episodes``."""
 
     def __init__(self, setup: RivalSetup, search: Search) -> None:
         self._setup = setup
@@ -137,11 +137,13 @@ class _Fresh:
         picked = {k: p[list(rows)] for k, p in self._search.parameters.items()}
         seeds = [self._setup.seeds[row] for row in rows]
         actor, calm = self._search.actor, self._setup.calm()
-        if not (isinstance(actor, LinearPolicy) and set(picked) == {"weight"} and can_try(calm)):
+        linear = getattr(actor, "linear_in_features", False)
+        if not (linear and set(picked) == {"weight"} and can_try(calm)):
             return evaluate(actor, picked, calm, seeds, count)
         if self._runs is None:
-            slots = min(SLOTS, len(self._setup.seeds) * self._setup.episodes)
-            self._runs = evaluator(calm, actor, slots=slots, mode=self._setup.problem.compile)
+            self._runs = evaluator(
+                calm, cast(LinearPolicy, actor), native=self._setup.problem.native
+            )
         return fresh_episodes(self._runs, calm, picked["weight"], seeds, count, self.pause)
 
 

@@ -10,7 +10,7 @@ import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
+from edtorch.native.choice import Mode
 from edtorch.native.plan import NoKernel, Plan, add_policy, add_world, begun, place
 from edtorch.native.program import Unavailable, load_kernel
 from edtorch.native.source import source_of
@@ -31,9 +32,6 @@ from edtorch.run.success import all_settled
 from edtorch.types import Parameters
 
 logger = logging.getLogger("edtorch")
-
-Mode = Literal["auto", "on", "off"]
-"""Whether kernels are used: where the parts have them, or else it is an error, or never."""
 
 TILE = 64
 """Episodes for which random numbers are held at a time."""

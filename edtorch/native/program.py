@@ -31,8 +31,14 @@ from sims.rows import TORCH
 logger = logging.getLogger("edtorch")
 
 FOLDER = Path(__file__).parent / "kernels"
-COMPILED_ROWS = Path(sims.rows.__file__).with_name("compiled_rows.py")
-TEXTS = ("learn.py", "improve.py", "live.py", "ticks.py", "rides.py", "apart.py")
+SCALAR = tuple(
+    Path(sims.rows.__file__).with_name(name) for name in ("compiled_rows.py", "elementary.py")
+)
+"""What a simulator's rows are compiled with."""
+TEXTS = (
+    *("learn.py", "improve.py", "live.py", "ticks.py", "rides.py", "apart.py"),
+    *("hashing.py", "episodes.py", "sarsa.py"),
+)
 _KNOWN = ("torch", "numba", "numpy")
 """Packages whose functions are what their names say."""
 LEAST_NUMBA = (0, 61)
@@ -132,7 +138,7 @@ def _machine() -> str:
 
     cpu = f"{binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
     versions = (numba().__version__, importlib.metadata.version("llvmlite"))
-    namespace = hashlib.sha256(COMPILED_ROWS.read_bytes()).hexdigest()
+    namespace = hashlib.sha256(b"".join(file.read_bytes() for file in SCALAR)).hexdigest()
     return f"{namespace} {versions} {platform.python_version()} {platform.machine()} {cpu}"
 
 

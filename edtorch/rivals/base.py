@@ -13,8 +13,8 @@ from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
-from edtorch.compiled.compilation import CompileMode
 from edtorch.learner.learner import Actor
+from edtorch.native.choice import Mode
 from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.ledger import Account
@@ -29,14 +29,14 @@ class Problem:
     world: the sim in scaled units, for any number of episodes at a time; policy: the
     configured linear policy, a template for rivals that search linear policies; reward: the
     shaping reward, scaled; seeds: one search each, which depends on its seed alone;
-    compile: whether to compile.
+    native: whether kernels are used.
     """
 
     world: World
     policy: LinearPolicy
     reward: QuadraticReward
     seeds: Sequence[int]
-    compile: CompileMode
+    native: Mode
 
 
 @runtime_checkable

@@ -27,8 +27,9 @@ import torch
 from torch import Tensor
 
 from edtorch.rivals.base import LinearSearch, Problem
+from edtorch.rivals.episodes import Ended
 from edtorch.rivals.returns import Return, SparseReward, charge, check_discount
-from edtorch.rivals.runs import SLOTS, Ended, Runs
+from edtorch.rivals.runs import Runs
 from edtorch.run.hashing import Use, hash_key
 from sims.base import Outcome
 
@@ -80,8 +81,7 @@ class PegasusSearch(LinearSearch):
         self._runs = Runs(
             problem.world,
             problem.policy,
-            mode=problem.compile,
-            slots=min(SLOTS, settings.scenarios * len(problem.seeds) * settings.lengths),
+            native=problem.native,
             accumulator=Return(SparseReward(problem.reward), settings.discount, problem.world.dt),
             limit=self._limit,
         )

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
-from edtorch.compiled.compilation import CompileMode
+from edtorch.native.choice import Mode
 from edtorch.policy.policies import LinearPolicy
-from edtorch.rivals.episodes import Finished, Tile
+from edtorch.rivals.episodes import Ended
 from edtorch.rivals.processes import in_processes
+from edtorch.rivals.runs import Runs
 from edtorch.run.hashing import Use, hash_key, uniform
 from edtorch.run.milestones import Checkpoint
 from edtorch.run.scaled_sim import World
@@ -31,9 +31,10 @@ SECONDS_BETWEEN_REPORTS = 0.5
 @dataclass(frozen=True)
 class RandomSearch:
     """policies: how many; runs: episodes of each; low, high: bounds of the weights, which meet
-    scaled states and give scaled actions; slots: episodes at a time in a process; look: ticks
-    between two looks at them; processes: of this many cores, None: all that this process may use.
-    The last three change the speed, not the result."""
+    scaled states and give scaled actions; processes: of this many cores, None: all that this
+    process may use; slots: episodes side by side in each, and look: ticks after which those that
+    are over are looked for, where there is no kernel.  These three change the speed, not the
+    result."""
 
     policies: int = 100_000
     runs: int = 30
@@ -79,8 +80,8 @@ class SearchResult:
     figures, means over the runs, each ``[P]``, NaN but for the policies with ``goal``.
 
     steps_done: simulator steps that were made, those of runs included that turned out not to be
-    needed; cpu_s, compile_s: CPU seconds of the search, and those of them before its first tick was
-    compiled, summed over processes.
+    needed; cpu_s, compile_s: CPU seconds of the search, and those of them that compiling or loading
+    a kernel took, summed over processes.
     """
 
     policy: Tensor
@@ -156,85 +157,6 @@ def episode_key(seed: int, ids: Tensor, run: Tensor) -> Tensor:
     return hash_key(Use.EPISODE, seed, ids, run)
 
 
-class _Schedule:
-    """Which run of which policy is next, and what is known of each.
-
-    First runs come before all others; runs after one that failed are not needed, runs before it
-    are, so that what is known in the end does not depend on the order in which it became known.
-    """
-
-    def __init__(self, policies: int, runs: int) -> None:
-        self.runs = runs
-        self.outcome = torch.zeros(policies, runs, dtype=torch.int8)
-        self.ticks = torch.zeros(policies, runs, dtype=torch.int32)
-        self._first = iter(range(policies))
-        self._more: deque[tuple[int, int]] = deque()
-        self._failed = [runs] * policies  # the first run known to have failed
-        self._left = [runs] * policies
-        self._succeeded = [0] * policies
-        self._slots: dict[int, dict[int, int]] = {}
-        self._at: dict[int, tuple[int, int]] = {}
-        self.decided = self.goal = self.stable = 0
-
-    def _waiting(self) -> Iterator[tuple[int, int]]:
-        for place in self._first:
-            yield place, 0
-        while self._more:
-            place, run = self._more.popleft()
-            if run < self._failed[place]:
-                yield place, run
-
-    def take(self, slots: list[int]) -> list[tuple[int, int, int]]:
-        """(slot, policy, run) of the next episodes for free slots."""
-        taken: list[tuple[int, int, int]] = []
-        waiting = self._waiting()
-        for slot in slots:
-            # The slot first: an episode that is taken must have one.
-            following = next(waiting, None)
-            if following is None:
-                break
-            place, run = following
-            self._slots.setdefault(place, {})[run] = slot
-            self._at[slot] = following
-            taken.append((slot, place, run))
-        return taken
-
-    def finish(self, slot: int, outcome: int, ticks: int) -> list[int]:
-        """Note the end of an episode; the slots of episodes that are no longer needed."""
-        place, run = self._at.pop(slot)
-        del self._slots[place][run]
-        self.outcome[place, run] = outcome
-        self.ticks[place, run] = ticks
-        self._left[place] -= 1
-        self._succeeded[place] += outcome == int(Outcome.SUCCEEDED)
-        if outcome == int(Outcome.FAILED):
-            self.decided += self._failed[place] == self.runs
-            self._failed[place] = min(run, self._failed[place])
-            needless = [r for r in self._slots[place] if r > self._failed[place]]
-            slots = [self._slots[place].pop(r) for r in needless]
-            for other in slots:
-                del self._at[other]
-            return slots
-        if run == 0:
-            self._more.extend((place, r) for r in range(1, self.runs))
-        if self._left[place] == 0 and self._failed[place] == self.runs:
-            self.decided += 1
-            self.goal += self._succeeded[place] == self.runs
-            self.stable += self._succeeded[place] != self.runs
-        return []
-
-    def forget_needless(self) -> None:
-        """Take out runs after the first that failed: whether they ended depends on the order."""
-        failed = (self.outcome == int(Outcome.FAILED)).cumsum(-1)
-        needless = failed - (self.outcome == int(Outcome.FAILED)).to(failed.dtype) > 0
-        self.outcome[needless] = int(Outcome.RUNNING)
-        self.ticks[needless] = 0
-
-
-class Stopped(Exception):
-    """Somebody asked the search to stop."""
-
-
 @dataclass(frozen=True)
 class Shard:
     """The part of a search that one process does: policies number first, first + every, ..."""
@@ -243,71 +165,46 @@ class Shard:
     world: World
     policy: LinearPolicy
     seed: int
-    mode: CompileMode
+    native: Mode
     first: int
     every: int
 
     def __call__(self, report: Callable[[Progress], None]) -> SearchResult:
         """Run it; ``report`` is called about twice a second."""
-        with torch.inference_mode():
-            return self._run(report)
-
-    def _run(self, report: Callable[[Progress], None]) -> SearchResult:
-        settings = self.settings
         began = time.process_time()
-        ids = torch.arange(self.first, settings.policies, self.every)
-        weights = policy_weights(settings, self.policy, self.seed, ids)
-        schedule = _Schedule(len(ids), settings.runs)
-        tile = Tile(
-            self.world, self.policy, slots=settings.slots, look=settings.look, mode=self.mode
-        )
-        nobody = episode_key(self.seed, ids[:0], ids[:0])
-        finals = _Finals(
-            self.world.initial(uniform(nobody, ids[:0], self.world.uniforms)),
-        )
-        compile_s, steps, reported = 0.0, 0, time.monotonic()
-        while True:
-            taken = schedule.take(tile.free())
-            if taken:
-                slot, place, run = torch.tensor(taken).unbind(-1)
-                tile.place(slot, weights[place], episode_key(self.seed, ids[place], run))
-                finals.begin(taken)
-            if tile.busy == 0:
-                break
-            steps += tile.busy * settings.look
-            finished = tile.advance()
-            if compile_s == 0.0:
-                compile_s = time.process_time() - began
-            finals.end(finished)
-            rows = (finished.slot.tolist(), finished.outcome.tolist(), finished.ticks.tolist())
-            needless: list[int] = []
-            for slot, outcome, ticks in zip(*rows, strict=True):
-                if slot in needless:
-                    continue
-                needless += schedule.finish(slot, outcome, ticks)
-            if needless:
-                tile.drop(torch.tensor(needless))
-            if time.monotonic() - reported > SECONDS_BETWEEN_REPORTS:
-                reported = time.monotonic()
-                report(Progress(schedule.decided, schedule.goal, schedule.stable, steps))
-        schedule.forget_needless()
-        report(Progress(schedule.decided, schedule.goal, schedule.stable, steps))
+        slots, look = self.settings.slots, self.settings.look
+        runs = Runs(self.world, self.policy, native=self.native, slots=slots, look=look)
+        compile_s = time.process_time() - began
+        ids = torch.arange(self.first, self.settings.policies, self.every)
+        found = _Found(ids, self.settings.runs)
+        reported = time.monotonic()
+        for number in found.rounds():
+            place, run = number.unbind(-1)
+            weight = policy_weights(self.settings, self.policy, self.seed, ids[place])
+            for ended in runs.pieces(weight, episode_key(self.seed, ids[place], run)):
+                found.enter(number[ended.number], ended)
+                if time.monotonic() - reported > SECONDS_BETWEEN_REPORTS:
+                    reported = time.monotonic()
+                    report(found.progress(runs.steps))
+        report(found.progress(runs.steps))
         result = SearchResult(
             policy=ids,
-            outcome=schedule.outcome,
-            ticks=schedule.ticks,
+            outcome=found.outcome,
+            ticks=found.ticks,
             measures={},
-            steps_done=steps,
+            steps_done=runs.steps,
             cpu_s=0.0,
             compile_s=compile_s,
         )
-        measures = self._measures(result, finals)
+        measures = self._measures(result, *found.finals(result.goal))
         cpu_s = time.process_time() - began
         return dataclasses.replace(result, measures=measures, cpu_s=cpu_s)
 
-    def _measures(self, result: SearchResult, finals: _Finals) -> dict[str, Tensor]:
-        """Means over the runs of the policies that always reach the goal."""
-        place, run, final = finals.of(result.goal)
+    def _measures(
+        self, result: SearchResult, place: Tensor, run: Tensor, final: Tensor
+    ) -> dict[str, Tensor]:
+        """Means over the runs ``[F]`` of the policies that always reach the goal, which end in
+        ``final`` ``[F, k]``."""
         key = episode_key(self.seed, result.policy[place], run)
         numbers = uniform(key, torch.zeros_like(run), self.world.uniforms)
         seconds = result.ticks[place, run].to(torch.float64) * self.world.dt
@@ -320,32 +217,56 @@ class Shard:
         return means
 
 
-class _Finals:
-    """Final states of the episodes that reached the goal, with policy and run."""
+class _Found:
+    """What is known of P policies, by place: outcome and ticks ``[P, R]`` of their runs."""
 
-    def __init__(self, none: Tensor) -> None:
-        """none: states ``[0, k]``, of no episode."""
-        self._at: dict[int, tuple[int, int]] = {}
-        self._episodes: list[tuple[int, int]] = []
-        self._states = [none]
+    def __init__(self, policies: Tensor, runs: int) -> None:
+        self.outcome = torch.zeros(len(policies), runs, dtype=torch.int8)
+        self.ticks = torch.zeros(len(policies), runs, dtype=torch.int32)
+        self._arrived: list[tuple[Tensor, Tensor]] = []
 
-    def begin(self, taken: list[tuple[int, int, int]]) -> None:
-        self._at |= {slot: (place, run) for slot, place, run in taken}
+    def rounds(self) -> Iterator[Tensor]:
+        """(place, run) ``[E, 2]`` of the episodes that are next, when all before have been entered.
 
-    def end(self, finished: Finished) -> None:
-        reached = finished.outcome == int(Outcome.SUCCEEDED)
-        if bool(reached.any()):
-            self._episodes += [self._at[slot] for slot in finished.slot[reached].tolist()]
-            self._states.append(finished.state[reached])
+        The first runs, then as many runs more as there have been, of policies that have not failed:
+        most fail in their first.  A run after one that failed in the same round is forgotten, so
+        that what is known is that of one run after the other.
+        """
+        count, runs = 0, self.outcome.shape[1]
+        going = torch.arange(len(self.outcome))
+        while count < runs and len(going):
+            several = torch.arange(count, min(runs, max(1, 2 * count)))
+            yield torch.cartesian_prod(going, several).reshape(-1, 2)
+            count += len(several)
+            failed = self.outcome == int(Outcome.FAILED)
+            needless = failed.cumsum(-1) - failed.long() > 0
+            self.outcome[needless] = int(Outcome.RUNNING)
+            self.ticks[needless] = 0
+            going = (~failed.any(-1)).nonzero().flatten()
 
-    def of(self, wanted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Policy, run ``[F]`` and final state ``[F, k]`` of those of the policies ``wanted``, in
-        order."""
-        episodes = torch.tensor(self._episodes, dtype=torch.int64).reshape(-1, 2)
-        place, run = episodes.unbind(-1)
-        order = (place * 2**31 + run).argsort()
-        order = order[wanted[place[order]]]
-        return place[order], run[order], torch.cat(self._states)[order]
+    def enter(self, number: Tensor, ended: Ended) -> None:
+        """Episodes that are over, with their (place, run) ``[F, 2]``."""
+        place, run = number.unbind(-1)
+        self.outcome[place, run] = ended.outcome.to(torch.int8)
+        self.ticks[place, run] = ended.ticks.to(torch.int32)
+        arrived = ended.outcome == int(Outcome.SUCCEEDED)
+        self._arrived.append((number[arrived], ended.state[arrived]))
+
+    def progress(self, steps: int) -> Progress:
+        """Of the policies that are decided."""
+        failed = (self.outcome == int(Outcome.FAILED)).any(-1)
+        whole = (self.outcome != int(Outcome.RUNNING)).all(-1) & ~failed
+        goal = int((self.outcome == int(Outcome.SUCCEEDED)).all(-1).sum())
+        stable = int(whole.sum()) - goal
+        return Progress(int(failed.sum()) + goal + stable, goal, stable, steps)
+
+    def finals(self, wanted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Place, run ``[F]`` and final state ``[F, k]`` of the runs to the goal of the policies
+        ``wanted`` ``[P]``, in order."""
+        number, state = (torch.cat(parts) for parts in zip(*self._arrived, strict=True))
+        order = (number[:, 0] * self.outcome.shape[1] + number[:, 1]).argsort()
+        order = order[wanted[number[order, 0]]]
+        return number[order, 0], number[order, 1], state[order]
 
 
 def search(
@@ -355,7 +276,7 @@ def search(
     *,
     seed: int,
     processes: int,
-    mode: CompileMode,
+    native: Mode,
     report: Callable[[Progress], None],
 ) -> SearchResult:
     """Run every policy; the same result for any number of processes.
@@ -363,7 +284,7 @@ def search(
     ``report`` is called a few times a second; what it raises ends the search.
     """
     shares = [
-        Shard(settings, world, policy, seed, mode, first, processes)
+        Shard(settings, world, policy, seed, native, first, processes)
         for first in range(min(processes, settings.policies))
     ]
     if len(shares) == 1:

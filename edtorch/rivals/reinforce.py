@@ -29,10 +29,10 @@ from torch import Tensor
 
 from edtorch.model.features import FeatureMap
 from edtorch.rivals.base import LinearSearch, Problem
-from edtorch.rivals.episodes import EpisodeTick
+from edtorch.rivals.episodes import Ended, EpisodeTick
 from edtorch.rivals.ledger import Account
 from edtorch.rivals.returns import SparseReward
-from edtorch.rivals.runs import SLOTS, Ended, Runs
+from edtorch.rivals.runs import Runs
 from edtorch.run.hashing import Use, hash_key
 from sims.base import Outcome
 
@@ -93,13 +93,19 @@ class LikelihoodRatio:
     deviation: float
     discount: float
     dt: float
+    kernel = "likelihood_sums"
 
-    def begin(self, slots: int) -> tuple[Tensor, ...]:
+    @property
+    def numbers(self) -> dict[str, float]:
+        """See ``Accumulator``."""
+        return {"DISCOUNT": self.discount}
+
+    def begin(self, episodes: int) -> tuple[Tensor, ...]:
         """z and sum r z ``[S, m k]``; y and sum r y ``[S, q]``; sum d log pi psi' ``[S, m k, q]``,
         sum psi psi' ``[S, q, q]``."""
         p, q = self.actions * self.features.outputs, 1 + self.states
         shapes = ((p,), (p,), (q,), (q,), (p, q), (q, q))
-        return tuple(torch.zeros(slots, *shape, dtype=torch.float64) for shape in shapes)
+        return tuple(torch.zeros(episodes, *shape, dtype=torch.float64) for shape in shapes)
 
     def add(self, sums: tuple[Tensor, ...], tick: EpisodeTick) -> tuple[Tensor, ...]:
         """One tick more."""
@@ -140,9 +146,7 @@ class ReinforceSearch(LinearSearch):
         self._runs = Runs(
             world,
             policy,
-            mode=problem.compile,
-            slots=min(SLOTS, settings.batch * len(problem.seeds)),
-            look=64,
+            native=problem.native,
             accumulator=self._accumulator,
             limit=self._limit,
         )

@@ -7,23 +7,23 @@ of the time, up to a horizon, is charged at a rate of its own (``charge``).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from edtorch.rewards import QuadraticReward
+from edtorch.rewards import QuadraticReward, Reward
 from edtorch.rivals.episodes import EpisodeTick
 
 
 class SparseReward:
     """``QuadraticReward`` term by term, without those of weight zero: r ``[S]`` of scaled
-    observations ``[S, n]`` and actions ``[S, m]``.  A compiler makes one pass of it."""
+    observations ``[S, n]`` and actions ``[S, m]``; its digits do not depend on S."""
 
     def __init__(self, reward: QuadraticReward) -> None:
         self._state = _terms(reward.state_cost)
         self._action = _terms(reward.action_cost)
+        self.quadratic_form = reward.quadratic_form
 
     def __call__(self, observation: Tensor, action: Tensor) -> Tensor:
         """-(s' Q s + a' R a)."""
@@ -46,14 +46,20 @@ class Return:
     discount: gamma, per second; dt: of a tick, in seconds.
     """
 
-    reward: Callable[[Tensor, Tensor], Tensor]
+    reward: Reward
     discount: float
     dt: float
     deviation: float = 0.0
+    kernel = "return_sums"
 
-    def begin(self, slots: int) -> tuple[Tensor, ...]:
+    @property
+    def numbers(self) -> dict[str, float]:
+        """See ``Accumulator``."""
+        return {"LOG_DISCOUNT": math.log(self.discount)}
+
+    def begin(self, episodes: int) -> tuple[Tensor, ...]:
         """The return so far, ``[S]``."""
-        return (torch.zeros(slots, dtype=torch.float64),)
+        return (torch.zeros(episodes, dtype=torch.float64),)
 
     def add(self, sums: tuple[Tensor, ...], tick: EpisodeTick) -> tuple[Tensor, ...]:
         """One reward more."""

@@ -1,22 +1,18 @@
-"""Episodes of linear policies from their starts to their ends, as many at a time as there is room.
-
-``edtorch.rivals.episodes.Tile`` advances them; here each gets its slot in turn, and its results
-their place.
-"""
+"""Episodes of linear policies from their starts to their ends, compiled or not."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from edtorch.compiled.compilation import CompileMode
+from edtorch.native.choice import Mode, kernel_for
 from edtorch.policy.policies import LinearPolicy
-from edtorch.rivals.episodes import Accumulator, Tile
-from edtorch.rivals.ledger import Account, pay
+from edtorch.rivals.episodes import Accumulator, EagerEpisodes, Ended, Episodes
+from edtorch.rivals.native_episodes import NativeEpisodes
 from edtorch.rivals.returns import Return
 from edtorch.run.episodes import Episode
 from edtorch.run.hashing import Use, hash_key, uniform
@@ -26,33 +22,19 @@ from edtorch.run.success import all_settled
 from sims.base import Lasting, Rewarded
 
 SLOTS = 1024
-"""Of a tile: as many as the processor's caches hold, with what a tick makes of them."""
-EAGER_TICKS = 5_000
-"""Of a tile, before it is compiled: about half as long as compiling takes, once it is cached."""
-
-
-@dataclass(frozen=True)
-class Ended:
-    """E episodes from their starts to their ends: outcome, ticks ``[E]`` (int64), final state
-    ``[E, k]``, sums of the accumulator, each ``[E, ...]``."""
-
-    outcome: Tensor
-    ticks: Tensor
-    state: Tensor
-    sums: tuple[Tensor, ...]
-
-    def pay(self, account: Account, world: World, own: slice) -> None:
-        """Enter the episodes ``own``, which are those of one seed."""
-        pay(account, world, self.state[own], self.outcome[own], self.ticks[own])
+"""Episodes side by side, where there is no kernel."""
+LOOK = 64
+"""Ticks after which those that are over are looked for there."""
 
 
 class Runs:
-    """Runs episodes of linear policies, on up to ``slots`` slots looked at every ``look`` ticks.
+    """Runs episodes of linear policies, compiled where it can be.
 
-    limit: ticks after which an episode is cut off, which looks like TIMED_OUT; the rest as of
-    ``Tile``.  What an episode does depends on its weights and its key alone.  ValueError for a sim
-    that is not of tensor functions alone (``traceable``), for an episode may then not be stepped in
-    any order.
+    limit: ticks after which an episode is cut off, which looks like TIMED_OUT; None: only the
+    world's own time limit.  slots, look: of ``EagerEpisodes``.  What an episode does depends on its
+    weights and its key alone.  ValueError for a sim that is not of tensor functions alone
+    (``traceable``), for an episode may then not be stepped in any order, and with native="on" where
+    there is no kernel.
     """
 
     def __init__(
@@ -60,55 +42,45 @@ class Runs:
         world: World,
         policy: LinearPolicy,
         *,
-        mode: CompileMode,
-        slots: int = SLOTS,
-        look: int = 128,
+        native: Mode,
         accumulator: Accumulator | None = None,
         limit: int | None = None,
-        eager: int = EAGER_TICKS,
+        slots: int = SLOTS,
+        look: int = LOOK,
     ) -> None:
         check_runnable(world)
-        self._slots = slots
-        with torch.inference_mode():
-            self._tile = Tile(
-                world,
-                policy,
-                slots=slots,
-                look=look,
-                mode=mode,
-                accumulator=accumulator,
-                limit=limit,
-                eager=eager,
-            )
+        self._world = world
+        parts = (world, policy, accumulator, world.limit_ticks if limit is None else limit)
+        found = kernel_for(native, lambda: NativeEpisodes(*parts), "episodes are")
+        self._episodes: Episodes = found or EagerEpisodes(*parts, slots=slots, look=look)
+
+    @property
+    def steps(self) -> int:
+        """Ticks that all episodes have made."""
+        return self._episodes.steps
 
     def __call__(self, weight: Tensor, key: Tensor, pause: Callable[[], None]) -> Ended:
-        """Episodes of weights ``[E, m, n]`` with keys ``[E, 2]``; at least one.  ``pause`` is
-        called between two looks, and what it raises ends it."""
-        with torch.inference_mode():
-            return self._run(weight, key, pause)
-
-    def _run(self, weight: Tensor, key: Tensor, pause: Callable[[], None]) -> Ended:
-        tile, count, begun = self._tile, len(key), 0
-        # Of an interrupted call before.
-        tile.drop(torch.arange(self._slots))
-        at = torch.zeros(self._slots, dtype=torch.int64)
-        where: list[Tensor] = []
+        """Episodes of weights ``[E, m, n]`` with keys ``[E, 2]``, in order; at least one.
+        ``pause`` is called about every second, and what it raises ends it."""
         parts: list[tuple[Tensor, ...]] = []
-        while begun < count or tile.busy:
-            free = tile.free()[: count - begun]
-            if free:
-                slot = torch.tensor(free)
-                own = torch.arange(begun, begun + len(free))
-                tile.place(slot, weight[own], key[own])
-                at[slot] = own
-                begun += len(free)
-            finished = tile.advance()
-            where.append(at[finished.slot])
-            parts.append((finished.outcome, finished.ticks, finished.state, *finished.sums))
+        for ended in self.pieces(weight, key):
+            whole = (ended.number, ended.outcome, ended.ticks, ended.state, *ended.sums)
+            parts.append(whole)
             pause()
-        order = torch.cat(where).argsort()
-        outcome, ticks, state, *sums = (torch.cat(p)[order] for p in zip(*parts, strict=True))
-        return Ended(outcome, ticks, state, tuple(sums))
+        number, *columns = (torch.cat(column) for column in zip(*parts, strict=True))
+        order = number.argsort()
+        outcome, ticks, state, *sums = (column[order] for column in columns)
+        return Ended(number[order], outcome, ticks, state, tuple(sums))
+
+    @torch.inference_mode()
+    def pieces(self, weight: Tensor, key: Tensor) -> Iterator[Ended]:
+        """The same, as they end."""
+        world, zero = self._world, torch.zeros_like(key)
+        # What lasts from one episode to the next is that of the same life for all.
+        start = world.initial(uniform(zero, zero[:, 0], world.uniforms))
+        everybody = torch.ones_like(zero[:, 0], dtype=torch.bool)
+        start = world.restart(start, everybody, uniform(key, zero[:, 0], world.uniforms))
+        yield from self._episodes.pieces(weight.detach().to(world.dtype), key, start)
 
 
 def check_runnable(world: World) -> None:
@@ -127,12 +99,12 @@ def can_try(world: World) -> bool:
     return bool(getattr(world.sim, "traceable", False)) and not lasting and not world.unwraps
 
 
-def evaluator(world: World, policy: LinearPolicy, *, mode: CompileMode, slots: int) -> Runs:
+def evaluator(world: World, policy: LinearPolicy, *, native: Mode) -> Runs:
     """For ``fresh_episodes``: adds up the return where the world has one by a reward of its own."""
     reward = world.reward
     total = None if reward is None or isinstance(world.sim, Rewarded) else reward
     accumulator = None if total is None else Return(total, 1.0, world.dt)
-    return Runs(world, policy, mode=mode, slots=slots, accumulator=accumulator)
+    return Runs(world, policy, native=native, accumulator=accumulator)
 
 
 def fresh_episodes(

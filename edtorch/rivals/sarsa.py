@@ -35,12 +35,12 @@ from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
-from torch._higher_order_ops.while_loop import while_loop
 
-from edtorch.compiled.compilation import CannotCompile, CompileMode, compiled
+from edtorch.native.choice import kernel_for
 from edtorch.rewards import QuadraticReward
 from edtorch.rivals.base import Problem
 from edtorch.rivals.ledger import Account
+from edtorch.rivals.native_sarsa import BoxTable, SarsaKernel
 from edtorch.run.hashing import Use, hash_key, uniform
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters, select
@@ -131,12 +131,12 @@ def _expect_rising(name: str, numbers: Sequence[float], what: str) -> None:
 class Boxes:
     """Which box of each table an observation is in; all tables' boxes are rows of one.
 
-    rows: how many there are.
+    rows: how many there are; tables: how they are counted.
     """
 
     def __init__(self, tables: Mapping[str, Mapping[str, Sequence[float]]], world: World) -> None:
         """Raises ValueError for components that there are not."""
-        self._tables: list[tuple[int, list[tuple[int, int, Tensor]]]] = []
+        self.tables: list[BoxTable] = []
         self.rows = 0
         for name, table in tables.items():
             known = [quantity.name for quantity in world.spec.state]
@@ -154,14 +154,14 @@ class Boxes:
                 scaled = torch.tensor(edges, dtype=torch.float64) / scale
                 parts.append((place, size, scaled.to(world.dtype)))
                 size *= len(edges) + 1
-            self._tables.append((self.rows, parts))
+            self.tables.append((self.rows, parts))
             self.rows += size
 
     def row(self, observation: Tensor) -> Tensor:
         """Rows ``[*batch, T]`` of T tables for observations ``[*batch, n]``, scaled."""
         components = observation.unbind(-1)
         rows = []
-        for first, parts in self._tables:
+        for first, parts in self.tables:
             row = torch.full_like(components[0], first, dtype=torch.int64)
             for place, size, edges in parts:
                 above = components[place].unsqueeze(-1) >= edges
@@ -239,10 +239,6 @@ class _Moment:
     row: Tensor
     choice: Tensor
 
-    def tensors(self) -> tuple[Tensor, ...]:
-        """In the order of the fields."""
-        return self.state, self.ticks, self.observation, self.row, self.choice
-
 
 class _Tick:
     """One tick of every seed."""
@@ -251,24 +247,37 @@ class _Tick:
         self, settings: Sarsa, world: World, reward: QuadraticReward, seeds: Sequence[int]
     ) -> None:
         self._settings = settings
-        self._world = world
-        self._reward = reward
+        self.world = world
+        self.reward = reward
         self.boxes = Boxes(settings.tables, world)
         self.actions = world.scaled(combinations(settings.actions, world.spec))
         rates = [settings.rates[name] for name in settings.tables]
-        self._rates = torch.tensor(rates, dtype=torch.float64).unsqueeze(-1)
-        self._key = torch.stack([hash_key(Use.EPISODE, seed) for seed in seeds])
+        self.rates = torch.tensor(rates, dtype=torch.float64).unsqueeze(-1)
+        self.key = torch.stack([hash_key(Use.EPISODE, seed) for seed in seeds])
         seed_size = self.boxes.rows * len(self.actions)
         self._own = torch.arange(len(seeds)).unsqueeze(-1) * seed_size
 
+    @property
+    def numbers(self) -> dict[str, float]:
+        """For ``SarsaKernel``."""
+        settings = self._settings
+        return {
+            "DISCOUNT": settings.discount,
+            "DECAY": settings.discount * settings.trace,
+            "EXPLORATION": settings.exploration,
+            "FAILURE": settings.failure,
+            "SUCCESS": settings.success,
+            "STEP": settings.step,
+        }
+
     def _numbers(self, clock: Tensor) -> Tensor:
         """Of tick ``clock`` ``[]``: the world's, then two for the choice, ``[S, u + 2]``."""
-        counter = clock.expand(len(self._key))
-        return uniform(self._key, counter, self._world.uniforms + 2)
+        counter = clock.expand(len(self.key))
+        return uniform(self.key, counter, self.world.uniforms + 2)
 
     def memory(self) -> _Memory:
         """Nothing learned yet."""
-        seeds, tables = len(self._key), len(self._rates)
+        seeds, tables = len(self.key), len(self.rates)
         shape = (seeds, tables, self._settings.visits)
         return _Memory(
             table=torch.zeros(seeds * self.boxes.rows * len(self.actions), dtype=torch.float64),
@@ -280,11 +289,11 @@ class _Tick:
     def first(self, memory: _Memory) -> _Moment:
         """The start of the first episodes: tick 0."""
         numbers = self._numbers(torch.zeros((), dtype=torch.int64))
-        state = self._world.initial(numbers[:, :-2])
-        observation = self._world.observe(state)
+        state = self.world.initial(numbers[:, :-2])
+        observation = self.world.observe(state)
         row = self.boxes.row(observation)
         choice = self._choose(self._values(memory, row), numbers)
-        ticks = torch.zeros(len(self._key), dtype=torch.int64)
+        ticks = torch.zeros(len(self.key), dtype=torch.int64)
         return _moment(state, ticks, observation, row, choice)
 
     def _values(self, memory: _Memory, row: Tensor) -> Tensor:
@@ -301,9 +310,9 @@ class _Tick:
 
     def _shaping(self, observation: Tensor, action: Tensor) -> Tensor:
         """The quadratic reward, its products written out: a library's call costs more than they."""
-        state, command = self._reward.state_cost, self._reward.action_cost
+        state, command = self.reward.state_cost, self.reward.action_cost
         cost = ((observation.unsqueeze(-2) * state).sum(-1) * observation).sum(-1)
-        if self._reward.costs_actions:
+        if self.reward.costs_actions:
             cost = cost + ((action.unsqueeze(-2) * command).sum(-1) * action).sum(-1)
         return -cost
 
@@ -311,7 +320,7 @@ class _Tick:
         self, memory: _Memory, here: _Moment, going: Tensor, clock: Tensor, place: Tensor
     ) -> _Moment:
         """going ``[S]``: who learns; clock ``[]``: the tick; place ``[]``: its in the chunk."""
-        settings, world = self._settings, self._world
+        settings, world = self._settings, self.world
         state, observation, row = (
             x.movedim(0, -1) for x in (here.state, here.observation, here.row)
         )
@@ -345,7 +354,7 @@ class _Tick:
         in_box = (memory.visited >= first) & (memory.visited < first + len(self.actions))
         trace = torch.where(newest, 1.0, torch.where(in_box, 0.0, memory.trace))
         visited = torch.where(newest, entry, memory.visited)
-        change = self._rates * delta.view(-1, 1, 1) * trace
+        change = self.rates * delta.view(-1, 1, 1) * trace
         decayed = settings.discount * settings.trace * trace
         memory.trace.copy_(select(ended, torch.zeros_like(decayed), decayed))
         memory.visited.copy_(visited)
@@ -365,48 +374,39 @@ def _moment(
     return _Moment(state, ticks, observation, row, choice)
 
 
-LearningLoop = Callable[
-    [_Memory, tuple[Tensor, ...], Tensor, Tensor, Tensor], tuple[Tensor, tuple[Tensor, ...]]
-]
-"""(memory, moment, going ``[S]``, clock ``[]``, count ``[]``) to (clock, moment) ``count`` ticks
-later, at most ``CHUNK``; memory is changed in place."""
+LearningLoop = Callable[[_Memory, _Moment, Tensor, int, int], _Moment]
+"""(memory, moment, going ``[S]``, clock, count) to the moment ``count`` ticks later, at most
+``CHUNK``; memory is changed in place."""
 
 
 def learning_loop(tick: _Tick) -> LearningLoop:
     """One tick after the other."""
 
-    def advance(
-        memory: _Memory, moment: tuple[Tensor, ...], going: Tensor, clock: Tensor, count: Tensor
-    ) -> tuple[Tensor, tuple[Tensor, ...]]:
-        here = _Moment(*moment)
-        for number in range(int(count)):
-            clock = clock + 1
-            here = tick(memory, here, going, clock, torch.tensor(number))
-        return clock, here.tensors()
+    def advance(memory: _Memory, moment: _Moment, going: Tensor, clock: int, count: int) -> _Moment:
+        for number in range(count):
+            now, place = torch.tensor(clock + 1 + number), torch.tensor(number)
+            moment = tick(memory, moment, going, now, place)
+        return moment
 
     return advance
 
 
-def in_graph(tick: _Tick) -> LearningLoop:
-    """The same as a loop in the graph: one tick to compile, however many there are to run."""
+def compiled_loop(tick: _Tick) -> LearningLoop:
+    """The same compiled.  Raises NoKernel or Unavailable."""
+    kernel = SarsaKernel(
+        tick.world,
+        tick.reward,
+        tick.boxes.tables,
+        tick.world.clip(tick.actions),
+        tick.rates.flatten(),
+        tick.key,
+        tick.numbers,
+    )
 
-    def advance(
-        memory: _Memory, moment: tuple[Tensor, ...], going: Tensor, clock: Tensor, count: Tensor
-    ) -> tuple[Tensor, tuple[Tensor, ...]]:
-        start = clock.clone()
-
-        def goes_on(clock: Tensor, *moment: Tensor) -> Tensor:
-            return clock < start + count
-
-        def body(clock: Tensor, *moment: Tensor) -> tuple[Tensor, ...]:
-            place = clock - start
-            clock = clock + 1
-            here = tick(memory, _Moment(*moment), going, clock, place)
-            # What goes round must not share memory with what came in.
-            return clock, *(x.clone() for x in here.tensors())
-
-        clock, *later = while_loop(goes_on, body, (clock, *moment))
-        return clock, tuple(later)
+    def advance(memory: _Memory, moment: _Moment, going: Tensor, clock: int, count: int) -> _Moment:
+        kept = (memory.table, memory.visited, memory.trace)
+        here = (moment.state, moment.ticks, moment.observation, moment.row, moment.choice)
+        return _Moment(*kernel(kept, here, memory.ended, going, clock, count))
 
     return advance
 
@@ -424,9 +424,12 @@ class SarsaSearch:
         with torch.inference_mode():
             self._tick = _Tick(settings, world, problem.reward, seeds)
             self._memory = self._tick.memory()
-            self._moment = self._tick.first(self._memory).tensors()
-            self._clock = torch.zeros((), dtype=torch.int64)
-        self._advance = _program(self._tick, world, problem.compile)
+            self._moment = self._tick.first(self._memory)
+        self._clock = 0
+        tick, what = self._tick, "ticks of Sarsa are"
+        self._advance = kernel_for(
+            problem.native, lambda: compiled_loop(tick), what
+        ) or learning_loop(tick)
         self._actor = GreedyTable(self._tick.boxes, self._tick.actions)
         self._began = [0] * len(seeds)
 
@@ -454,15 +457,14 @@ class SarsaSearch:
             while left:
                 pause()
                 count = min(CHUNK, left)
-                self._clock, self._moment = self._advance(
-                    self._memory, self._moment, learns, self._clock, torch.tensor(count)
-                )
+                self._moment = self._advance(self._memory, self._moment, learns, self._clock, count)
+                self._clock += count
                 self._record(going, count)
                 left -= count
 
     def _record(self, going: Sequence[bool], count: int) -> None:
         """The episodes that ended in the last ``count`` ticks, and what they cost."""
-        before = int(self._clock) - count
+        before = self._clock - count
         for row, account in enumerate(self.accounts):
             if not going[row]:
                 continue
@@ -477,14 +479,3 @@ class SarsaSearch:
                 account.end(Outcome(outcome), seconds, success=success)
                 self._began[row] = clock
             account.spend((before + count) * self._dt - account.seconds)
-
-
-def _program(tick: _Tick, world: World, mode: CompileMode) -> LearningLoop:
-    traceable = getattr(world.sim, "traceable", False)
-    if mode == "on" and not traceable:
-        raise CannotCompile(
-            f"{world.spec.name} is not of tensors alone: compute.compile=auto or off"
-        )
-    if mode == "off" or not traceable:
-        return learning_loop(tick)
-    return compiled(in_graph(tick), mode=mode)

@@ -1,4 +1,4 @@
-"""Episodes in a tile that add something up: equal to one plain loop, whatever else is run."""
+"""Episodes that add something up: equal to one plain loop, compiled or not."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from torch import Tensor
 from edtorch.model.features import Identity
 from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
-from edtorch.rivals.episodes import looped, one_tick, scanned
+from edtorch.rivals.episodes import Accumulator
+from edtorch.rivals.native_episodes import EPISODE_LANES, NativeEpisodes
 from edtorch.rivals.reinforce import LikelihoodRatio
 from edtorch.rivals.returns import Return, SparseReward
 from edtorch.rivals.runs import Runs, can_try, evaluator, fresh_episodes
@@ -69,7 +70,7 @@ def test_returns_are_those_of_a_plain_loop(slots: int, look: int) -> None:
     accumulator = Return(SparseReward(_reward()), DISCOUNT, world.dt)
     policy = LinearPolicy(5, 2, Identity(5))
     runs = Runs(
-        world, policy, mode="off", slots=slots, look=look, accumulator=accumulator, limit=120
+        world, policy, native="off", slots=slots, look=look, accumulator=accumulator, limit=120
     )
     weight, key = _weights(8), _keys(8)
     outcomes: set[int] = set()
@@ -83,20 +84,50 @@ def test_returns_are_those_of_a_plain_loop(slots: int, look: int) -> None:
     assert outcomes == {int(Outcome.FAILED), int(Outcome.TIMED_OUT)}
 
 
+def _kernels() -> list[Accumulator]:
+    """What kernels add up."""
+    reward = SparseReward(_reward())
+    return [
+        Return(reward, DISCOUNT, 0.01),
+        LikelihoodRatio(reward, Identity(5), 5, 2, 0.3, 0.99, 0.01),
+    ]
+
+
 @pytest.mark.oracle
-def test_a_loop_in_the_graph_changes_nothing() -> None:
-    """With exploration and all sums of a likelihood ratio."""
-    world = _world()
-    policy = LinearPolicy(5, 2, Identity(5))
-    accumulator = LikelihoodRatio(SparseReward(_reward()), policy.features, 5, 2, 0.3, 0.99, 0.01)
-    tick = one_tick(world, policy, accumulator, 100)
-    weight, key = _weights(6), _keys(6)
-    zero = torch.zeros(6, dtype=torch.int64)
-    with torch.inference_mode():
-        state = world.initial(uniform(key, zero, world.uniforms))
-        arguments = (state, weight, key, zero, zero.clone(), *accumulator.begin(6))
-        found = zip(looped(tick, 40)(*arguments), scanned(tick, 40)(*arguments), strict=True)
-        assert all(one.equal(other) for one, other in found)
+@pytest.mark.parametrize(
+    "accumulator",
+    [pytest.param(_kernels()[0], marks=pytest.mark.reference), _kernels()[1]],
+    ids=["return", "likelihood"],
+)
+def test_a_kernel_does_the_same(accumulator: Accumulator) -> None:
+    """Outcomes and ticks of falls and cut-offs, final states and sums to rounding; with the
+    numbers of the hash, exploration included."""
+    world, policy = _world(), LinearPolicy(5, 2, Identity(5))
+    weight, key = _weights(40) / 2, _keys(40)
+    found, wanted = (
+        Runs(world, policy, native=native, accumulator=accumulator, limit=120)(weight, key, pause)
+        for native in ("on", "off")
+    )
+    assert found.outcome.equal(wanted.outcome) and found.ticks.equal(wanted.ticks)
+    assert set(found.outcome.tolist()) == {int(Outcome.FAILED), int(Outcome.TIMED_OUT)}
+    pairs = zip((found.state, *found.sums), (wanted.state, *wanted.sums), strict=True)
+    for one, other in pairs:
+        torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.reference
+def test_lanes_do_not_matter() -> None:
+    """To the last bit; so neither does how many episodes there are."""
+    world, policy, (accumulator, _) = _world(), LinearPolicy(5, 2, Identity(5)), _kernels()
+    weight, key = _weights(40) / 2, _keys(40)
+    start = world.initial(uniform(key, torch.zeros_like(key[:, 0]), world.uniforms))
+    columns = []
+    for lanes in (1, EPISODE_LANES):
+        episodes = NativeEpisodes(world, policy, accumulator, 200, lanes=lanes)
+        (ended,) = episodes.pieces(weight, key, start)
+        order = ended.number.argsort()
+        columns.append([x[order] for x in (ended.ticks, ended.state, *ended.sums)])
+    assert all(one.equal(other) for one, other in zip(*columns, strict=True))
 
 
 def test_normals_are_standard_normal() -> None:
@@ -116,7 +147,7 @@ def test_fresh_episodes() -> None:
     """As their outcomes and ticks say; those of a seed do not depend on what is tried beside it."""
     world = _world()
     policy = LinearPolicy(5, 2, Identity(5))
-    runs = evaluator(world, policy, mode="off", slots=4)
+    runs = evaluator(world, policy, native="off")
     weight = _weights(2)
     both = fresh_episodes(runs, world, weight, [4, 9], 3, pause)
     alone = fresh_episodes(runs, world, weight[1:], [9], 3, pause)
@@ -137,7 +168,7 @@ def test_fresh_episodes_have_return_and_success(threshold: float | None) -> None
     world = World(sim, reward=_reward(), success_return=threshold)
     policy, weight, key = LinearPolicy(5, 2, Identity(5)), _weights(1), _keys(4)
     key = hash_key(Use.FRESH, 3, torch.arange(4))
-    runs = evaluator(world, policy, mode="off", slots=4)
+    runs = evaluator(world, policy, native="off")
     (own,) = fresh_episodes(runs, world, weight, [3], 4, pause)
     for episode in own:
         state = world.initial(uniform(key[episode.number, None], torch.tensor([0]), world.uniforms))
@@ -157,18 +188,3 @@ def test_what_can_be_tried_so() -> None:
     assert can_try(World(Bicycle()))
     assert not can_try(World(Bicycle(), unwrap=1.5))
     assert not can_try(World(Bicycle(spread=0.3)))
-
-
-@pytest.mark.oracle
-def test_single_precision_is_nearly_the_same() -> None:
-    """The zero policy, whose falls do not depend on what is observed: to the tick."""
-    ended = []
-    for dtype in (torch.float64, torch.float32):
-        world = World(Bicycle(time_limit=3.0), dtype)
-        policy = LinearPolicy(5, 2, Identity(5), dtype)
-        accumulator = Return(SparseReward(_reward()), DISCOUNT, world.dt)
-        runs = Runs(world, policy, mode="off", slots=6, accumulator=accumulator)
-        ended.append(runs(torch.zeros(6, 2, 5), _keys(6), pause))
-    double, single = ended
-    assert double.ticks.equal(single.ticks)
-    torch.testing.assert_close(double.sums[0], single.sums[0], rtol=1e-5, atol=0)

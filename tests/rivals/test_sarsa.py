@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import math
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -11,7 +12,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from edtorch.compiled.compilation import CannotCompile, check_compiler
 from edtorch.model.features import Identity
 from edtorch.policy.policies import LinearPolicy
 from edtorch.rewards import QuadraticReward
@@ -99,7 +99,7 @@ def _problem(world: World, seeds: range, *, cost: float = 0.0, **more: Any) -> P
         cost * torch.eye(n, dtype=torch.float64), cost * torch.eye(m, dtype=torch.float64)
     )
     policy = LinearPolicy(n, m, Identity(n))
-    settings: dict[str, Any] = {"compile": "off"} | more
+    settings: dict[str, Any] = {"native": "off"} | more
     return Problem(world, policy, reward, seeds, **settings)
 
 
@@ -316,28 +316,31 @@ def test_pause_ends_it() -> None:
     assert search.accounts[0].seconds == 0
 
 
-@pytest.mark.experiment
-@pytest.mark.filterwarnings("ignore:`torch.jit.*:DeprecationWarning")  # of torch's compiler itself
-def test_compiled_is_uncompiled() -> None:
-    """The loop in the graph does what the loop outside does."""
-    check_compiler()
-    settings = replace(CORRIDOR, exploration=0.3, every=100.0)
-    world = World(Corridor())
-    plain = _searched(settings, _problem(world, range(3)))
-    fast = _searched(settings, _problem(world, range(3), compile="on"))
-    assert plain.accounts == fast.accounts
+@pytest.mark.oracle
+def test_a_kernel_does_the_same() -> None:
+    """Episodes that end in every way, over pieces and chunks; a seed that stopped as well."""
+    settings = replace(BALANCING, every=6.0)
+    found, wanted = (
+        _searched(settings, _problem(_bicycle(), range(3, 6), cost=0.01, native=native))
+        for native in ("on", "off")
+    )
+    for search in (found, wanted):
+        search.advance([True, False, True], lambda: None)
+    assert found.accounts == wanted.accounts
+    assert all(account.failures and account.successes for account in found.accounts)
     torch.testing.assert_close(
-        plain.parameters["table"], fast.parameters["table"], rtol=1e-12, atol=1e-12
+        found.parameters["table"], wanted.parameters["table"], rtol=1e-9, atol=1e-9
     )
 
 
-def test_a_world_that_cannot_be_compiled_is_said() -> None:
-    class Opaque(Corridor):
-        traceable = False
-
-    with pytest.raises(CannotCompile, match="corridor is not of tensors alone"):
-        CORRIDOR.begin(_problem(World(Opaque()), range(1), compile="on"))
-    _searched(replace(CORRIDOR, every=2.0), _problem(World(Opaque()), range(1), compile="auto"))
+def test_a_world_without_a_kernel_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.raises(ValueError, match="no kernel for the simulator corridor, which is not writ"):
+        CORRIDOR.begin(_problem(World(Corridor()), range(1), native="on"))
+    with caplog.at_level(logging.WARNING, "edtorch"):
+        _searched(
+            replace(CORRIDOR, every=2.0), _problem(World(Corridor()), range(1), native="auto")
+        )
+    assert "ticks of Sarsa are uncompiled, many times slower: there is no kernel" in caplog.text
 
 
 @pytest.mark.parametrize(

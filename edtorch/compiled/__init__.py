@@ -1,1 +1,0 @@
-"""Compiled ticks: populations by Inductor, ahead of time."""
