@@ -27,6 +27,47 @@ AFFINE = (
     "schedule.every=3",
 )
 PLAIN = (*LINEAR, "model=next_state", "fit=adaptive", "transform=mean_only", "step=saturated")
+REGULATED = (
+    *LINEAR,
+    "model=derivative",
+    "model.features=affine",
+    "policy=affine",
+    "fit=least_squares",
+    "transform=first",
+    "step=full",
+    "unroll.direction=regulator",
+    "+reward.action.action_0=0.3",
+    "+reward.target.state_0=0.4",
+    "schedule.first=20",
+)
+PAPER = ("experiment=bicycle_paper", "exploration.deviation=0.5")
+SAFE = ("experiment=bicycle", "command.actions=true", "command.deviations=0.5")
+EVERYTHING = (
+    "experiment=slalom",
+    "fit=absolute_decaying",
+    "command=ramp",
+    "transform=mean_only",
+    "unroll.start=state",
+    "unroll.start_deviation=0",
+    "step=plain",
+    "step.alpha=0.01",
+    "domain.spread=0.3",
+    "domain.gust=20",
+    "domain.change_at=0.9",
+    "+domain.change.v=5.0",
+    "domain.start_lean=0.1",
+    "domain.gate_spacing=2.5",
+    "domain.look_ahead=1.0",
+    "eval.success_return=-0.5",
+)
+KINDS = {
+    "plain": PLAIN,
+    "affine": AFFINE,
+    "regulated": REGULATED,
+    "paper": PAPER,
+    "safe": SAFE,
+    "everything": EVERYTHING,
+}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -39,18 +80,24 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("kind", [PLAIN, AFFINE], ids=["plain", "affine"])
-def test_compiled_ticks_are_the_same_ticks(kind: tuple[str, ...]) -> None:
-    eager = training_of(*kind, "seeds=20", "train.seconds=1000")
-    together = native(training_of(*kind, "seeds=20", "train.seconds=1000"))
+@pytest.mark.parametrize(
+    ("kind", "seeds", "least"),
+    [("plain", 20, 200), ("affine", 20, 200), ("regulated", 3, 30), ("paper", 20, 30)]
+    + [("safe", 3, 0), ("everything", 3, 3)],
+)
+def test_compiled_ticks_are_the_same_ticks(kind: str, seeds: int, least: int) -> None:
+    how = (*KINDS[kind], f"seeds={seeds}", "train.seconds=1000", "train.successes=null")
+    eager, together = training_of(*how), native(training_of(*how))
     for training in (eager, together):
         training.advance(300)
-    assert together.clock == 300 and len(together.episodes) >= 200
+    assert together.clock == 300 and len(together.episodes) >= least
     assert lives(together) == lives(eager)
     worst = farthest(together, eager)
     assert max(worst.values()) < 1e-9, worst
-    for row in (0, 15):
-        kept = [t.trail.states(row, *t.episodes[-1].trail) for t in (together, eager)]
+    for found, wanted in zip(together.episodes, eager.episodes, strict=True):
+        assert found.success == wanted.success
+        assert found.measures == pytest.approx(wanted.measures, rel=1e-9, nan_ok=True)
+        kept = [t.trail.states(found.row, *found.trail) for t in (together, eager)]
         assert torch.allclose(*kept, rtol=1e-9, atol=1e-9)
 
 
