@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 from edtorch.app.construct import construct, given_part, is_given
 from edtorch.app.errors import ConfigError, unknown_key
@@ -13,6 +13,7 @@ from edtorch.report.domain import Domain, ReturnOf, domain_of
 from edtorch.run.episodes import Episode
 from edtorch.run.scaled_sim import World
 from sims.base import Rewarded, Sim, are_names
+from sims.rows import HasRows, NoRows, torch_rows_of
 
 METHODS = ("initial", "restart", "step", "observe", "outcome", "measures")
 """Of a ``Sim``."""
@@ -21,7 +22,7 @@ METHODS = ("initial", "restart", "step", "observe", "outcome", "measures")
 def build_sim(config: Any, key: str = "domain") -> Sim:
     """The domain; key: of the settings, for messages."""
     if not is_given(config):
-        return _with_names(construct(key, config, *METHODS), key)
+        return _checked(construct(key, config, *METHODS), key)
     sim = given_part("domain", config)
     lacking = [name for name in ("spec", *METHODS) if not hasattr(sim, name)]
     if lacking:
@@ -29,10 +30,17 @@ def build_sim(config: Any, key: str = "domain") -> Sim:
             f"env: {type(sim).__name__} lacks {', '.join(lacking)}; expected a simulator"
             " (sims.base.Sim), or an environment of Gymnasium"
         )
-    return _with_names(sim, "env")
+    return _checked(sim, "env")
 
 
-def _with_names(sim: Sim, key: str) -> Sim:
+def _checked(sim: Sim, key: str) -> Sim:
+    if hasattr(sim, "rows"):
+        try:
+            torch_rows_of(cast(HasRows, sim))
+        except NoRows:
+            pass  # its tensor functions are its own
+        except (ValueError, NotImplementedError) as error:
+            raise ConfigError(f"{key}: {error}") from error
     for which, quantities in (("state", sim.spec.state), ("action", sim.spec.action)):
         names = [quantity.name for quantity in quantities]
         if not are_names(names):

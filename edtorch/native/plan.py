@@ -34,6 +34,7 @@ from edtorch.run.scaled_sim import World
 from edtorch.run.tick import Population, Source, Tick
 from edtorch.types import LearnerState
 from edtorch.value.linear import LinearMeanOnly, LinearMoment
+from edtorch.value.linear.regulator import Regulator
 from edtorch.value.unroll import FromOrigin
 from sims.base import Actuated, Judged, Losing, Rewarded
 from sims.rows import NoRows, Rows, rows_of
@@ -263,23 +264,29 @@ def _fit(plan: Plan, fit: Any) -> None:
 
 
 def _value(plan: Plan, path: Any, n: int, m: int) -> None:
-    kernels: Mapping[type, str] = {LinearMeanOnly: "mean_value", LinearMoment: "moment_value"}
+    kernels: Mapping[type, str] = {
+        LinearMeanOnly: "mean_value",
+        LinearMoment: "moment_value",
+        Regulator: "regulator_value",
+    }
     if type(path) not in kernels:
         raise NoKernel(f"a value of the kind {type(path).__name__}")
     plan.chosen["value"] = kernels[type(path)]
-    size = plan.constants["A"]
+    is_regulator, size = type(path) is Regulator, plan.constants["A"]
     state, action, cross = path.state_cost, path.action_cost, path.cross
     priced = action is not None or cross is not None
     is_diagonal = bool((state == torch.diag(state.diagonal())).all())
     plan.constants |= {"PRICED_ACTIONS": int(priced), "DIAGONAL": int(is_diagonal)}
     plan.numbers |= {
-        "UNROLL_TICK": path.dt,
+        "UNROLL_TICK": path.horizon.dt if is_regulator else path.dt,
+        "COST_UNIT": path.horizon.unit if is_regulator else 1.0,
+        "DISCOUNT": path.horizon.discount**path.horizon.unit if is_regulator else 1.0,
         "STATE_COST": state,
         "ACTION_COST": torch.zeros(m, m) if action is None else action,
         "CROSS_COST": torch.zeros(size, m) if cross is None else cross,
         "START_COV": getattr(path, "start_cov", torch.zeros(n, n)),
-        "STEPS": len(path.weights),
-        "WEIGHTS": path.weights,
+        "STEPS": path.horizon.steps if is_regulator else len(path.weights),
+        "WEIGHTS": [] if is_regulator else path.weights,
     }
 
 
@@ -393,6 +400,7 @@ def _scratch(plan: Plan) -> None:
     vectors = {"ACTION": m, "NORMAL": m, "NEXT": n, "END": n, "TARGET": n, "RESIDUAL": n, "PHI": k}
     vectors |= {"PROJECTED": k, "GAIN": k, "NEW": c["KNOWN"], "ADJOINT": a, "PULLED": a}
     matrices = {"GRADIENT": m * kp, "FULL": m * a, "GAINS": m * a, "PRICED": m * a, "INPUT": a * m}
+    matrices |= {"PUSHED": a * m, "PIVOTS": m * m}
     squares = dict.fromkeys(("DRIFT", "COST", "THROUGH", "MOMENT", "X", "Y", "OVER_STEP"), a * a)
     flags = (
         "SOUND FIT_OK VALUE_OK ERROR VALUE NORM GO VALID LIVES UNBROKEN OUTCOME RATE DEVIATE DOUBT"

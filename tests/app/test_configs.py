@@ -126,7 +126,7 @@ def test_experiment_of_a_random_search(name: str) -> None:
         setup.policy,
         seed=setup.seed,
         processes=1,
-        mode="off",
+        native="off",
         report=lambda progress: None,
     )
     assert len(found.policy) == 5 <= found.episodes

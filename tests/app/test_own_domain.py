@@ -5,7 +5,17 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+
+import pytest
+
+from edtorch.app.domain import build_sim
+from edtorch.app.errors import ConfigError
+from edtorch.app.given import Given
+from edtorch.app.settings import Settings
+from sims.rows import Namespace, Rows
+from sims.tasks.cart_pole import CartPole
 
 SIM = '''
 """A cart on a rail."""
@@ -84,3 +94,14 @@ def test_own_domain(
     out, err = evaluation.communicate(timeout=patience)
     assert evaluation.returncode == 0, err
     assert "shaping reward, summed over time" in " ".join(out.split())
+
+
+def test_rows_that_are_incomplete_are_refused_in_one_line() -> None:
+    class Narrow(CartPole):
+        def rows(self, xp: Namespace) -> Rows:
+            return replace(super().rows(xp), observe=lambda s, c: s[:3])
+
+    with pytest.raises(
+        ConfigError, match=r"^env: Narrow\.rows: observe returned 3 rows, expected 4"
+    ):
+        build_sim(Settings({"given": Given(Narrow())}))

@@ -82,8 +82,14 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.mark.oracle
 @pytest.mark.parametrize(
     ("kind", "seeds", "least"),
-    [("plain", 20, 200), ("affine", 20, 200), ("regulated", 3, 30), ("paper", 20, 30)]
-    + [("safe", 3, 0), ("everything", 3, 3)],
+    [
+        ("plain", 20, 200),
+        ("affine", 20, 200),
+        ("regulated", 3, 30),
+        ("paper", 20, 30),
+        ("safe", 3, 0),
+        ("everything", 3, 3),
+    ],
 )
 def test_compiled_ticks_are_the_same_ticks(kind: str, seeds: int, least: int) -> None:
     how = (*KINDS[kind], f"seeds={seeds}", "train.seconds=1000", "train.successes=null")
@@ -97,8 +103,9 @@ def test_compiled_ticks_are_the_same_ticks(kind: str, seeds: int, least: int) ->
     for found, wanted in zip(together.episodes, eager.episodes, strict=True):
         assert found.success == wanted.success
         assert found.measures == pytest.approx(wanted.measures, rel=1e-9, nan_ok=True)
-        kept = [t.trail.states(found.row, *found.trail) for t in (together, eager)]
-        assert torch.allclose(*kept, rtol=1e-9, atol=1e-9)
+        if found.row < together.trail.size:
+            kept = [t.trail.states(found.row, *found.trail) for t in (together, eager)]
+            assert torch.allclose(*kept, rtol=1e-9, atol=1e-9)
 
 
 def states(training: Training) -> list[torch.Tensor]:

@@ -2,8 +2,8 @@
 
 
 @inner
-def closed_loop(z, s, number, dt):
-    """G, the padded THETA_ and D = drift + G theta of the loop over ``dt`` (states: A of them)."""
+def open_loop(z, s, number, dt):
+    """INPUT G, GAINS theta and DRIFT of the loop over ``dt``, of A states: (1, s) or s."""
     for l in range(LANES):
         for i in range(M):
             if AFFINE:
@@ -31,6 +31,17 @@ def closed_loop(z, s, number, dt):
                 x = dt * x if INTEGRATES else x
                 if not INTEGRATES and j == i + AFFINE:
                     x -= 1.0
+                s[(DRIFT + (AFFINE + i) * A + j) * LANES + l] = x
+
+
+@inner
+def closed_loop(z, s, number, dt):
+    """``open_loop``, and G theta added to DRIFT."""
+    open_loop(z, s, number, dt)
+    for l in range(LANES):
+        for i in range(N):
+            for j in range(A):
+                x = s[(DRIFT + (AFFINE + i) * A + j) * LANES + l]
                 for q in range(M):
                     x += (
                         s[(INPUT + (AFFINE + i) * M + q) * LANES + l]
@@ -258,6 +269,106 @@ def moment_value(z, s, number, tape):
             s[(THROUGH + i) * LANES + l] *= -2.0
     project(s)
     price(s)
+    of_parameters(s)
+
+
+@inner
+def regulator_value(z, s, number, tape):
+    """``edtorch.value.linear.regulator``: the direction to the first gain."""
+    open_loop(z, s, number, number[UNROLL_TICK])
+    unit, discount = number[COST_UNIT], number[DISCOUNT]
+    for l in range(LANES):
+        for i in range(A * A):
+            s[(X + i) * LANES + l] = unit * number[STATE_COST + i]
+    for _ in range(int(number[STEPS])):
+        for l in range(LANES):
+            for i in range(A):
+                for j in range(A):
+                    x = s[(X + i * A + j) * LANES + l]
+                    for q in range(A):
+                        x += s[(X + i * A + q) * LANES + l] * s[(DRIFT + q * A + j) * LANES + l]
+                    s[(Y + i * A + j) * LANES + l] = x
+                for j in range(M):
+                    x = 0.0
+                    for q in range(A):
+                        x += s[(X + i * A + q) * LANES + l] * s[(INPUT + q * M + j) * LANES + l]
+                    s[(PUSHED + i * M + j) * LANES + l] = x
+        for l in range(LANES):
+            for i in range(M):
+                for j in range(M):
+                    x = 0.0
+                    for q in range(A):
+                        x += (
+                            s[(INPUT + q * M + i) * LANES + l] * s[(PUSHED + q * M + j) * LANES + l]
+                        )
+                    x = unit * number[ACTION_COST + i * M + j] + discount * x
+                    s[(PIVOTS + i * M + j) * LANES + l] = x
+                for j in range(A):
+                    x = 0.0
+                    for q in range(A):
+                        x += s[(INPUT + q * M + i) * LANES + l] * s[(Y + q * A + j) * LANES + l]
+                    x = discount * x + unit * number[CROSS_COST + j * M + i]
+                    s[(FULL + i * A + j) * LANES + l] = x
+        # Gauss and Jordan: a positive definite matrix needs no pivoting.
+        for l in range(LANES):
+            for p in range(M):
+                pivot = s[(PIVOTS + p * M + p) * LANES + l]
+                for j in range(M):
+                    s[(PIVOTS + p * M + j) * LANES + l] /= pivot
+                for j in range(A):
+                    s[(FULL + p * A + j) * LANES + l] /= pivot
+                for i in range(M):
+                    share = s[(PIVOTS + i * M + p) * LANES + l] if i != p else 0.0
+                    for j in range(M):
+                        s[(PIVOTS + i * M + j) * LANES + l] -= (
+                            share * s[(PIVOTS + p * M + j) * LANES + l]
+                        )
+                    for j in range(A):
+                        s[(FULL + i * A + j) * LANES + l] -= (
+                            share * s[(FULL + p * A + j) * LANES + l]
+                        )
+        for l in range(LANES):
+            for i in range(A):
+                for j in range(A):
+                    x = s[(Y + i * A + j) * LANES + l]
+                    for q in range(M):
+                        x -= s[(PUSHED + i * M + q) * LANES + l] * s[(FULL + q * A + j) * LANES + l]
+                    s[(THROUGH + i * A + j) * LANES + l] = x
+        for l in range(LANES):
+            for i in range(A):
+                for j in range(A):
+                    x = s[(THROUGH + i * A + j) * LANES + l]
+                    for q in range(A):
+                        x += (
+                            s[(DRIFT + q * A + i) * LANES + l]
+                            * s[(THROUGH + q * A + j) * LANES + l]
+                        )
+                    x = unit * number[STATE_COST + i * A + j] + discount * x
+                    for q in range(M):
+                        x -= (
+                            unit
+                            * number[CROSS_COST + i * M + q]
+                            * s[(FULL + q * A + j) * LANES + l]
+                        )
+                    s[(MOMENT + i * A + j) * LANES + l] = x
+        for l in range(LANES):
+            for i in range(A):
+                for j in range(A):
+                    x = s[(MOMENT + i * A + j) * LANES + l] + s[(MOMENT + j * A + i) * LANES + l]
+                    s[(X + i * A + j) * LANES + l] = 0.5 * x
+    for l in range(LANES):
+        total = 0.0
+        for i in range(A):
+            for j in range(A):
+                x = start_of(s, number, i, l) * start_of(s, number, j, l)
+                if i >= AFFINE and j >= AFFINE:
+                    x += number[START_COV + (i - AFFINE) * N + j - AFFINE]
+                total += s[(X + i * A + j) * LANES + l] * x
+        s[VALUE * LANES + l] = -total
+    for l in range(LANES):
+        for i in range(M * A):
+            x = s[(FULL + i) * LANES + l]
+            s[(FULL + i) * LANES + l] = -x - s[(GAINS + i) * LANES + l]
     of_parameters(s)
 
 

@@ -58,6 +58,29 @@ def test_leads_to_the_first_gain_of_the_regulator() -> None:
     assert float(again.gradient["weight"].abs().max()) < 1e-12
 
 
+def test_constants_and_targets_shift_the_same_regulator() -> None:
+    # A target that is an equilibrium without action: in s - target the loop is the linear one.
+    plain, model, _ = problem()
+    g = torch.Generator().manual_seed(8)
+    target = normal(g, N)
+    zero = torch.zeros(N, dtype=torch.float64)
+    affine = DerivativeModel(N, M, Affine(N + M), zero)
+    reward = QuadraticReward(plain.form.state, plain.form.action, target=target)
+    shifted = Regulator(affine, LinearPolicy(N, M, Affine(N)), reward, HORIZON, plain.start_cov)
+    constant = -(model["weight"][..., :N] @ target).unsqueeze(-1)
+    weight = {"weight": torch.cat([constant, model["weight"]], dim=-1)}
+    nothing = {"weight": torch.zeros(4, M, 1 + N, dtype=torch.float64)}
+    away = normal(g, 4, N)
+    found = shifted(weight, nothing, {}, target + away)
+    zeros = {"weight": torch.zeros(4, M, N, dtype=torch.float64)}
+    wanted = plain(model, zeros, {}, away)
+    gain = wanted.gradient["weight"]
+    assert torch.allclose(found.value, wanted.value, rtol=1e-9)
+    assert torch.allclose(found.gradient["weight"][..., 1:], gain, rtol=1e-9, atol=1e-12)
+    offset = -(gain @ target)
+    assert torch.allclose(found.gradient["weight"][..., 0], offset, rtol=1e-9, atol=1e-12)
+
+
 def test_the_gradient_vanishes_there() -> None:
     # One step ahead there is one gain only: the top of what the gradient climbs, but for the cost
     # of the last action, which moves nothing that counts and which the regulator leaves out.
@@ -87,11 +110,11 @@ def test_the_gradient_vanishes_there() -> None:
     assert torch.allclose(found, own, atol=1e-12)
 
 
-def test_refuses_actions_that_cost_nothing_and_constants() -> None:
+def test_refuses_actions_that_cost_nothing_and_constants_out_of_reach() -> None:
     regulator, _, _ = problem()
     free = QuadraticReward(regulator.form.state, torch.zeros(M, M, dtype=torch.float64))
     with pytest.raises(ValueError, match="expected a cost > 0 of every action"):
         Regulator(regulator.model, regulator.policy, free, HORIZON, regulator.start_cov)
-    affine = LinearPolicy(N, M, Affine(N))
-    with pytest.raises(ValueError, match="without a constant"):
-        Regulator(regulator.model, affine, regulator.reward, HORIZON, regulator.start_cov)
+    model = DerivativeModel(N, M, Affine(N + M), torch.zeros(N, dtype=torch.float64))
+    with pytest.raises(ValueError, match="expected a policy with a constant"):
+        Regulator(model, regulator.policy, regulator.reward, HORIZON, regulator.start_cov)
