@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+
+import pytest
 import torch
 
 from tests.shapes import install
@@ -10,3 +13,9 @@ from tests.shapes import install
 torch.set_num_threads(1)
 
 install()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Kernels are compiled once for all processes, and kept in the checkout for later sessions."""
+    assert config.cache is not None
+    os.environ["EDTORCH_CACHE"] = str(config.cache.mkdir("kernels"))

@@ -24,6 +24,9 @@ BLOCK = 512
 """Ticks drawn at once.  Part of the stream's definition: another value gives other numbers."""
 
 
+_AT_ONCE = 4096
+
+
 @dataclass(frozen=True)
 class Draw:
     """The numbers of one tick: uniform ``[B, u]`` in [0, 1), normal ``[B, v]`` standard normal."""
@@ -97,6 +100,17 @@ class Streams:
 def learning_keys(seeds: Sequence[int]) -> list[tuple[int, int]]:
     """Of the streams of the learners of these seeds."""
     return [stream_key(seed, Purpose.LEARNING) for seed in seeds]
+
+
+def starting_numbers(world: World, seeds: Sequence[int]) -> Tensor:
+    """The uniform numbers of tick 0 ``[B, u]``, drawn for some learners at a time: the block of a
+    whole population would be the largest thing in memory."""
+    parts = []
+    for first in range(0, len(seeds), _AT_ONCE):
+        keys = learning_keys(seeds[first : first + _AT_ONCE])
+        streams = Streams(keys, world.uniforms, 0, world.dtype, world.device)
+        parts.append(streams.stored(0)[0])
+    return torch.cat(parts, dim=-1).movedim(0, -1)
 
 
 def learning_streams(world: World, seeds: Sequence[int]) -> Streams:

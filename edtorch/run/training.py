@@ -17,7 +17,7 @@ from torch import Tensor
 from edtorch.learner.learner import AnyLearner
 from edtorch.learner.schedule import ALWAYS, Schedule
 from edtorch.run.episodes import Budget, Episode, Snapshot
-from edtorch.run.random import Streams, learning_streams
+from edtorch.run.random import Streams, learning_streams, starting_numbers
 from edtorch.run.recorder import Recorder
 from edtorch.run.rollout import Happened, finished, rollout
 from edtorch.run.scaled_sim import World
@@ -190,7 +190,8 @@ class Training:
         self.lost_episodes = [0] * len(self.seeds)
         self.tick = Tick(learner, world, budget.episodes, budget.successes, schedule)
         streams = learning_streams(world, self.seeds)
-        first = self.tick.first(learner.initial(self.seeds), world.initial(streams.at(0).uniform))
+        start = world.initial(starting_numbers(world, self.seeds))
+        first = self.tick.first(learner.initial(self.seeds), start)
         self.stage: Stage = Eager(self.tick, first, streams, recorder)
         watched = first.worlds.world[:WATCHED]
         self.trail = Trail(watched, trail_stride, world.limit_ticks // trail_stride + 2)
