@@ -17,8 +17,8 @@ from benchmarks.bicycle import compiled
 from benchmarks.timing import cpu_seconds, print_table, write_json
 from edtorch.app.build import build
 from edtorch.app.compose import compose
+from edtorch.native.evaluation import evaluate_policies
 from edtorch.run.episodes import Episode
-from edtorch.run.evaluation import evaluate
 from edtorch.run.training import Training
 
 
@@ -42,7 +42,7 @@ def main() -> None:
     def rides(episodes: int, how: str) -> float:
         def work() -> None:
             found.append(
-                evaluate(
+                evaluate_policies(
                     setup.learner.policy,
                     parameters,
                     setup.calm(),
