@@ -126,8 +126,9 @@ def learner_plan(learner: Source[LearnerState], world: World, layout: RowLayout)
     if type(learner) is not Learner:
         raise NoKernel("the inverse model")
     plan = begun(world)
-    _places(plan, layout)
+    # The kinds first: the rows are those of parts that have kernels.
     _learner(plan, learner, world)
+    _places(plan, layout)
     _scratch(plan)
     return plan
 

@@ -12,13 +12,14 @@ from torch import Tensor
 
 from edtorch.model.fit import SquaredError
 from edtorch.native.apart import Halves, RealTime
+from edtorch.native.plan import NoKernel
 from edtorch.run.episodes import Budget
 from edtorch.run.random import learning_streams
 from edtorch.run.recorder import Recorder
 from edtorch.run.scaled_sim import World
 from edtorch.run.training import Training
 from sims.base import Outcome, Quantity, Spec
-from tests.native.kinds import farthest, lives, training_of
+from tests.native.kinds import LINEAR, farthest, lives, training_of
 from tests.systems import bicycle_learner
 
 
@@ -173,3 +174,20 @@ def test_a_learner_in_real_time_is_the_learner_of_a_training() -> None:
     assert torch.equal(again.state.policy["weight"], before.policy["weight"])
     with pytest.raises(ValueError, match=r"observation: has shape \(3,\), expected \(2,\)"):
         rider.begin([0.0, 0.0, 0.0])
+
+
+class Net(torch.nn.Module):
+    """A model without a matrix of weights."""
+
+    def __init__(self, states: int, actions: int) -> None:
+        super().__init__()
+        self.inside = torch.nn.Linear(states + actions, states)
+
+    def forward(self, state: Tensor, action: Tensor) -> Tensor:
+        return torch.tanh(self.inside(torch.cat((state, action), dim=-1)))
+
+
+def test_a_model_that_is_any_module_has_no_kernel() -> None:
+    model = f"model={{_target_: {__name__}.Net}}"
+    with pytest.raises(NoKernel, match="a model of the kind DerivativeModule"):
+        halved(training_of(*LINEAR, model, "fit=gradient", "transform=mean_only"))
