@@ -21,7 +21,7 @@ from edtorch.app.compose import compose
 from edtorch.learner.schedule import ALWAYS, Schedule
 from edtorch.run.training import Training
 
-BLOCK = 16
+BLOCK = 256
 RIDE = 35_800
 """Ticks."""
 

@@ -1,6 +1,6 @@
 """What a whole tick of learning costs: edtorch beside JAX and compiled scalar code.
 
-The paper's bicycle (experiment=bicycle_paper), populations of B learners, blocks of 16 ticks; us of
+The paper's bicycle (experiment=bicycle_paper), populations of B learners, blocks of 256 ticks; us of
 CPU per learner and tick, one thread, all rows of a size in turn, and in brackets the ratios to
 JAX in float64 and to numba.  The ticks of edtorch draw their random numbers, record and log; those
 of the peers are given the numbers, and do neither.  "By hand" is JAX with the gradient written out
@@ -29,7 +29,7 @@ from edtorch.learner.learner import AnyLearner, Learner
 from edtorch.run.training import Training
 from edtorch.value.unroll import ValuePath
 
-BLOCK = 16
+BLOCK = 256
 WARM_UP = 300
 """Ticks before anything is timed, so that there is something to learn from."""
 
