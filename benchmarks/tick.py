@@ -1,7 +1,7 @@
 """What a whole tick of learning costs: edtorch beside JAX and compiled scalar code.
 
-The paper's bicycle (experiment=bicycle_paper), populations of B learners, blocks of 256 ticks; us of
-CPU per learner and tick, one thread, all rows of a size in turn, and in brackets the ratios to
+The paper's bicycle (experiment=bicycle_paper), populations of B learners, blocks of 256 ticks; us
+of CPU per learner and tick, one thread, all rows of a size in turn, and in brackets the ratios to
 JAX in float64 and to numba.  The ticks of edtorch draw their random numbers, record and log; those
 of the peers are given the numbers, and do neither.  "By hand" is JAX with the gradient written out
 in the best layout.  Mixed: the simulator in float64, the learner in float32.

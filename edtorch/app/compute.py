@@ -118,24 +118,35 @@ def _into_kernels(training: Training, threads: int, recorder: Recorder | None) -
     return "compiled"
 
 
-def needed_bytes(learner: AnyLearner, world: World, learners: int) -> int:
-    """Memory that a population takes, about: its random numbers, its state (now, before, and twice
-    more on the way), and the tape of an uncompiled unroll."""
+def runs_in_kernels(learner: AnyLearner, world: World, mode: Mode) -> bool:
+    """Whether learners and their world are one kernel."""
+    if mode == "off" or not hasattr(world.sim, "rows"):
+        return False
+    tick, uniform = Tick(learner, world), torch.zeros(1, world.uniforms, dtype=world.dtype)
+    try:
+        plan_of(tick, tick.first(learner.initial([0]), world.initial(uniform)))
+        numba()
+    except (NoKernel, Unavailable):
+        return False
+    return True
+
+
+def needed_bytes(learner: AnyLearner, world: World, learners: int, mode: Mode = "off") -> int:
+    """Memory that a population takes, about: its random numbers and its state, in torch several
+    times, and there the tape of an unroll."""
     one = learner.initial([0])
     parts = (one.model, one.policy, one.fit, one.noise, one.step)
     states = sum(p.numel() for part in parts for p in part.values())
+    drawn = BLOCK * (world.uniforms + len(world.spec.action))
+    if runs_in_kernels(learner, world, mode):
+        return learners * (drawn + 2 * states + 200) * _BYTES
     tape = 100 * len(world.spec.state) ** 2
-    return learners * (_random_numbers(world) + 4 * states + tape + 500) * _BYTES
+    return learners * (2 * drawn + 4 * states + tape + 500) * _BYTES
 
 
-def _random_numbers(world: World) -> int:
-    """Of a learner, that are held at a time."""
-    return 2 * BLOCK * (world.uniforms + len(world.spec.action))
-
-
-def check_memory(learner: AnyLearner, world: World, learners: int) -> None:
+def check_memory(learner: AnyLearner, world: World, learners: int, mode: Mode = "off") -> None:
     """Refuse a population that the machine has no memory for; ConfigError."""
-    needed = needed_bytes(learner, world, learners)
+    needed = needed_bytes(learner, world, learners, mode)
     free = free_bytes(world.device)
     if needed > free:
         raise ConfigError(

@@ -194,6 +194,6 @@ def build_forward(config: Settings, world: World) -> Forward:
             command=build_command(config.command, world, model, policy, noise),
             observer=observer,
         )
-    check_memory(learner, world, config.seeds)
+    check_memory(learner, world, config.seeds, config.compute.native)
     indicator = ValueErrorIndicator(choice.generic) if config.log.value_error else None
     return Forward(learner, reason, indicator)
