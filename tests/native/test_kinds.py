@@ -11,6 +11,22 @@ from tests.native.kinds import LINEAR, farthest, lives, native, training_of
 Choice = dict[str, str]
 Pair = tuple[tuple[str, str], tuple[str, str]]
 
+CALM = (
+    *LINEAR,
+    "domain.state_matrix=[[0.95,0.1],[0.0,0.9]]",
+    "unroll.horizon=5",
+    "schedule.first=60",
+    "seeds=3",
+    "train.seconds=1000",
+)
+"""Where learners neither explode nor flip signs at the last digit, which no two ways share."""
+RATES = {
+    "fit=absolute": 0.01,
+    "fit=absolute_decaying": 0.01,
+    "fit=squared": 0.1,
+    "fit=normalised": 0.5,
+}
+
 FACTORS: dict[str, tuple[str, ...]] = {
     "form": ("model=derivative", "model=next_state"),
     "model": ("model.features=identity", "model.features=affine"),
@@ -87,8 +103,14 @@ def pairs_of(row: Choice) -> set[Pair]:
 def test_every_pair_of_kinds(row: Choice) -> None:
     parts = [part for name, part in row.items() if name != "lanes" and part]
     parts.sort(key=lambda part: part.count("."))
-    more = ["command.component=state_1"] if "free" not in row["command"] else []
-    how = [*LINEAR, "seeds=3", "train.seconds=1000", "schedule.first=10", *parts, *more]
+    if row["command"] != "command=free":
+        parts.append("command.component=state_1")
+    if row["step"] != "step=full":
+        parts.append("step.alpha=0.01")
+    if row["fit"] in RATES:
+        rule = "fit.rule.rate" if row["fit"] == "fit=absolute_decaying" else "fit.rate"
+        parts.append(f"{rule}={RATES[row['fit']]}")
+    how = [*CALM, *parts]
     eager, compiled = training_of(*how), native(training_of(*how), lanes=int(row["lanes"]))
     for training in (eager, compiled):
         training.advance(300)
