@@ -20,12 +20,14 @@ import types
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import filelock
 
 import sims.rows
+from sims.base import Outcome
 from sims.rows import TORCH
 
 logger = logging.getLogger("edtorch")
@@ -39,9 +41,9 @@ TEXTS = (
     *("learn.py", "improve.py", "live.py", "ticks.py", "rides.py", "apart.py"),
     *("hashing.py", "episodes.py", "sarsa.py"),
 )
-_KNOWN = ("torch", "numba", "numpy")
+_KNOWN = ("torch", "numba", "numpy", "math")
 """Packages whose functions are what their names say."""
-LEAST_NUMBA = (0, 61)
+LEAST_NUMBA = (0, 65)
 """The first version of numba that is tested."""
 
 
@@ -83,6 +85,7 @@ def module_text(constants: Mapping[str, object], chosen: Mapping[str, str]) -> s
     """The text of a module: the kernels after ``constants``, and the names ``chosen`` of functions
     among them."""
     lines = ["import math", "import numpy as np"]
+    lines += [f"{outcome.name} = {int(outcome)}" for outcome in Outcome]
     lines += [f"{name} = {value!r}" for name, value in sorted(constants.items())]
     lines += [(FOLDER / name).read_text(encoding="utf-8") for name in TEXTS]
     lines += [f"{role} = {function}" for role, function in sorted(chosen.items())]
@@ -97,6 +100,13 @@ def fingerprint(part: object) -> str:
 
 def _described(part: Any, seen: set[int]) -> Iterator[str]:
     yield type(part).__qualname__
+    if isinstance(part, types.ModuleType) and part.__name__.partition(".")[0] not in _KNOWN:
+        raise Unavailable(
+            f"module {part.__name__}: expected its functions and numbers themselves in what a"
+            " simulator's rows close over (from ... import ...)"
+        )
+    if isinstance(part, type) and issubclass(part, Enum):
+        yield from _described([(member.name, member.value) for member in part], seen)
     if part is TORCH or isinstance(part, types.BuiltinFunctionType | types.ModuleType | type):
         yield getattr(part, "__module__", "") or getattr(part, "__name__", "")
         yield getattr(part, "__qualname__", "")
@@ -107,7 +117,8 @@ def _described(part: Any, seen: set[int]) -> Iterator[str]:
             cells = [cell.cell_contents for cell in part.__closure__ or ()]
             names = [name for name in _names(part.__code__) if name in part.__globals__]
             called = [(name, part.__globals__[name]) for name in names]
-            yield from _described([part.__code__, part.__defaults__, cells, called], seen)
+            defaults = (part.__defaults__, sorted((part.__kwdefaults__ or {}).items()))
+            yield from _described([part.__code__, defaults, cells, called], seen)
     elif isinstance(part, types.CodeType):
         yield f"{part.co_code.hex()} {part.co_names}"
         yield from _described(part.co_consts, seen)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +153,25 @@ def test_a_fingerprint_follows_what_a_function_closes_over() -> None:
     assert len(set(texts)) == 4
     assert fingerprint(scaled(1.0, same)) == texts[0]
     assert "0x" not in "".join(texts)
+
+
+def keyed(value: float) -> Callable[[float], float]:
+    def function(x: float, *, factor: float = value) -> float:
+        return factor * x
+
+    return function
+
+
+def test_a_fingerprint_follows_defaults_and_members() -> None:
+    assert fingerprint(keyed(1.0)) != fingerprint(keyed(2.0))
+    kinds = [IntEnum("Kind", {"ONE": value}) for value in (1, 2)]
+    texts = [fingerprint(scaled(1.0, lambda x, kind=kind: x + kind.ONE)) for kind in kinds]
+    assert texts[0] != texts[1]
+
+
+def test_a_fingerprint_refuses_modules_whose_content_may_change() -> None:
+    with pytest.raises(Unavailable, match=r"module json: expected its functions and numbers"):
+        fingerprint(lambda x: json.decoder)
 
 
 def test_a_fingerprint_refuses_what_it_cannot_describe() -> None:
