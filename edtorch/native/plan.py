@@ -399,7 +399,7 @@ def _scratch(plan: Plan) -> None:
     c = plan.constants
     n, m, k, a, kp = (c[name] for name in ("N", "M", "K", "A", "KP"))
     vectors = {"ACTION": m, "NORMAL": m, "NEXT": n, "END": n, "TARGET": n, "RESIDUAL": n, "PHI": k}
-    vectors |= {"PROJECTED": k, "GAIN": k, "NEW": c["KNOWN"], "ADJOINT": a, "PULLED": a}
+    vectors |= {"SIGN": n, "PROJECTED": k, "GAIN": k, "NEW": c["KNOWN"], "ADJOINT": a, "PULLED": a}
     matrices = {"GRADIENT": m * kp, "FULL": m * a, "GAINS": m * a, "PRICED": m * a, "INPUT": a * m}
     matrices |= {"PUSHED": a * m, "PIVOTS": m * m}
     squares = dict.fromkeys(("DRIFT", "COST", "THROUGH", "MOMENT", "X", "Y", "OVER_STEP"), a * a)

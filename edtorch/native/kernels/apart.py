@@ -37,7 +37,7 @@ def acts(w, k, observation, normal, action):
             for i in range(M):
                 s[(NORMAL + i) * LANES + l] = normal[min(first + l, len(normal) - 1), i]
         drawn = s[NORMAL * LANES : (NORMAL + M) * LANES].reshape((M, 1, LANES)).T
-        act(z, k[g * COUNTERS * LANES :], s, number, OBSERVATION, drawn, 0)
+        act(z, k[g * COUNTERS * LANES :], s, number, drawn, 0)
         for l in range(min(LANES, len(action) - first)):
             for i in range(M):
                 action[first + l, i] = s[(ACTION + i) * LANES + l] * number[ACTION_SCALE + i]
@@ -62,7 +62,7 @@ def learns(w, k, state, action, following, valid, said, improves):
                 count_on(z, s, number, l)
             is_one = first + l < len(valid) and valid[first + l]
             s[VALID * LANES + l] = 1.0 if is_one else 0.0
-        learn(z, counters, s, number, OBSERVATION)
+        learn(z, counters, s, number)
         if improves:
             improve(z, counters, s, number, tape)
         count_sound(counters, s, improves)

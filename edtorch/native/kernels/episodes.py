@@ -112,14 +112,14 @@ def episodes(
             if living == 0:
                 break
         draw(k, uniform, normal, now)
-        act(z, k, s, number, OBSERVATION, normal, 0)
+        act(z, k, s, number, normal, 0)
         live(z, k, s, number, constants, uniform, now, 0)
         add(z, k, s, number, normal, now)
         advance(z, s)
         made += living
         for l in range(LANES):
             outcome = int(s[OUTCOME * LANES + l])
-            if outcome == 0:
+            if outcome == RUNNING:
                 continue
             e = k[EPISODE * LANES + l]
             ended[e, 0], ended[e, 1] = outcome, now - k[BEGUN * LANES + l]

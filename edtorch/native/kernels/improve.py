@@ -51,6 +51,43 @@ def closed_loop(z, s, number, dt):
 
 
 @inner
+def moved(s, out):
+    """out = X + DRIFT X, a matrix: half a step of second moments, ``spread`` the other half."""
+    for l in range(LANES):
+        for i in range(A):
+            for j in range(A):
+                x = s[(X + i * A + j) * LANES + l]
+                for q in range(A):
+                    x += s[(DRIFT + i * A + q) * LANES + l] * s[(X + q * A + j) * LANES + l]
+                out[(i * A + j) * LANES + l] = x
+
+
+@inner
+def spread(s, half):
+    """X = half + half DRIFT' + OVER_STEP, which is symmetric."""
+    for l in range(LANES):
+        for i in range(A):
+            for j in range(i + 1):
+                x = half[(i * A + j) * LANES + l] + s[(OVER_STEP + i * A + j) * LANES + l]
+                for q in range(A):
+                    x += half[(i * A + q) * LANES + l] * s[(DRIFT + j * A + q) * LANES + l]
+                s[(X + i * A + j) * LANES + l] = x
+                s[(X + j * A + i) * LANES + l] = x
+
+
+@inner
+def pushed_back(s):
+    """Y = X + X DRIFT: half a step back of an adjoint, or of a cost to go."""
+    for l in range(LANES):
+        for i in range(A):
+            for j in range(A):
+                x = s[(X + i * A + j) * LANES + l]
+                for q in range(A):
+                    x += s[(X + i * A + q) * LANES + l] * s[(DRIFT + q * A + j) * LANES + l]
+                s[(Y + i * A + j) * LANES + l] = x
+
+
+@inner
 def loop_cost(s, number):
     """COST = Q + theta'R theta + N theta + theta'N'; PRICED = R theta + N'."""
     if PRICED_ACTIONS:
@@ -208,21 +245,8 @@ def moment_value(z, s, number, tape):
     for t in range(steps):
         path = tape[t * A * A * LANES :]
         weight = number[WEIGHTS + t]
-        for l in range(LANES):
-            for i in range(A):
-                for j in range(A):
-                    x = s[(X + i * A + j) * LANES + l]
-                    for q in range(A):
-                        x += s[(DRIFT + i * A + q) * LANES + l] * s[(X + q * A + j) * LANES + l]
-                    path[(i * A + j) * LANES + l] = x
-        for l in range(LANES):
-            for i in range(A):
-                for j in range(i + 1):
-                    x = path[(i * A + j) * LANES + l] + s[(OVER_STEP + i * A + j) * LANES + l]
-                    for q in range(A):
-                        x += path[(i * A + q) * LANES + l] * s[(DRIFT + j * A + q) * LANES + l]
-                    s[(X + i * A + j) * LANES + l] = x
-                    s[(X + j * A + i) * LANES + l] = x
+        moved(s, path)
+        spread(s, path)
         for l in range(LANES):
             for i in range(A):
                 for j in range(A):
@@ -248,13 +272,7 @@ def moment_value(z, s, number, tape):
         if t == 0:
             break
         weight = number[WEIGHTS + t - 1]
-        for l in range(LANES):
-            for i in range(A):
-                for j in range(A):
-                    x = s[(X + i * A + j) * LANES + l]
-                    for q in range(A):
-                        x += s[(X + i * A + q) * LANES + l] * s[(DRIFT + q * A + j) * LANES + l]
-                    s[(Y + i * A + j) * LANES + l] = x
+        pushed_back(s)
         for l in range(LANES):
             for i in range(A):
                 for j in range(i + 1):
@@ -281,13 +299,9 @@ def regulator_value(z, s, number, tape):
         for i in range(A * A):
             s[(X + i) * LANES + l] = unit * number[STATE_COST + i]
     for _ in range(int(number[STEPS])):
+        pushed_back(s)
         for l in range(LANES):
             for i in range(A):
-                for j in range(A):
-                    x = s[(X + i * A + j) * LANES + l]
-                    for q in range(A):
-                        x += s[(X + i * A + q) * LANES + l] * s[(DRIFT + q * A + j) * LANES + l]
-                    s[(Y + i * A + j) * LANES + l] = x
                 for j in range(M):
                     x = 0.0
                     for q in range(A):
@@ -465,21 +479,10 @@ def safe(z, k, s, number):
             for i in range(N):
                 s[(ADJOINT + i) * LANES + l] = s[(PULLED + i) * LANES + l]
         if WATCHED:
-            for l in range(LANES):
-                for i in range(N):
-                    for j in range(N):
-                        x = s[(X + i * N + j) * LANES + l]
-                        for q in range(N):
-                            x += s[(DRIFT + i * N + q) * LANES + l] * s[(X + q * N + j) * LANES + l]
-                        s[(Y + i * N + j) * LANES + l] = x
-            for l in range(LANES):
-                for i in range(N):
-                    for j in range(i + 1):
-                        x = s[(Y + i * N + j) * LANES + l] + s[(OVER_STEP + i * N + j) * LANES + l]
-                        for q in range(N):
-                            x += s[(Y + i * N + q) * LANES + l] * s[(DRIFT + j * N + q) * LANES + l]
-                        s[(X + i * N + j) * LANES + l] = x
-                        s[(X + j * N + i) * LANES + l] = x
+            # A command needs a loop without constants: A is N.
+            half = s[Y * LANES :]
+            moved(s, half)
+            spread(s, half)
         for q in range(CONSTRAINED):
             row = int(number[CONSTRAINTS + 2 * q])
             response = s[(ADJOINT + row) * LANES :]

@@ -2,13 +2,13 @@
 
 
 @inner
-def see(z, s, number, observation):
-    """PHI, START and END of the transition from row ``observation`` of z to row NEXT of s."""
+def see(z, s, number):
+    """PHI, START and END of the transition from OBSERVATION to NEXT."""
     for l in range(LANES):
         if MODEL_CONSTANT:
             s[PHI * LANES + l] = 1.0
         for i in range(N):
-            before = z[(observation + i) * LANES + l]
+            before = z[(OBSERVATION + i) * LANES + l]
             moved = s[(NEXT + i) * LANES + l] - before
             moved -= number[PERIOD + i] * np.rint(moved * number[TURNS + i])
             start = before
@@ -61,49 +61,55 @@ def aged(z, s, number):
 
 
 @inner
-def absolute(z, s, number):
-    """``edtorch.model.fit.AbsoluteError``."""
+def paced(z, s, number):
+    """GAIN = rate phi, of the rules that follow a gradient."""
     aged(z, s, number)
     for l in range(LANES):
         rate = number[FIT_RATE] * unit_of(z, s, number, l)
+        for j in range(K):
+            s[(GAIN + j) * LANES + l] = rate * s[(PHI + j) * LANES + l]
+
+
+@inner
+def stepped(z, s, row):
+    """W + e GAIN', e being the rows from ``row`` on."""
+    for l in range(LANES):
         for i in range(N):
-            step = sign(s[(RESIDUAL + i) * LANES + l])
+            step = s[(row + i) * LANES + l]
             for j in range(K):
-                s[(NEW + i * K + j) * LANES + l] = z[(WEIGHT + i * K + j) * LANES + l] + step * (
-                    rate * s[(PHI + j) * LANES + l]
+                s[(NEW + i * K + j) * LANES + l] = (
+                    z[(WEIGHT + i * K + j) * LANES + l] + step * s[(GAIN + j) * LANES + l]
                 )
+
+
+@inner
+def absolute(z, s, number):
+    """``edtorch.model.fit.AbsoluteError``."""
+    paced(z, s, number)
+    for l in range(LANES):
+        for i in range(N):
+            s[(SIGN + i) * LANES + l] = sign(s[(RESIDUAL + i) * LANES + l])
+    stepped(z, s, SIGN)
 
 
 @inner
 def squared(z, s, number):
     """``edtorch.model.fit.SquaredError``."""
-    aged(z, s, number)
-    for l in range(LANES):
-        rate = number[FIT_RATE] * unit_of(z, s, number, l)
-        for i in range(N):
-            step = s[(RESIDUAL + i) * LANES + l]
-            for j in range(K):
-                s[(NEW + i * K + j) * LANES + l] = z[(WEIGHT + i * K + j) * LANES + l] + step * (
-                    rate * s[(PHI + j) * LANES + l]
-                )
+    paced(z, s, number)
+    stepped(z, s, RESIDUAL)
 
 
 @inner
 def normalised(z, s, number):
     """``edtorch.model.fit.NormalisedSquaredError``."""
-    aged(z, s, number)
+    paced(z, s, number)
     for l in range(LANES):
-        size = 0.0
+        size = number[FIT_FLOOR]
         for j in range(K):
-            x = s[(PHI + j) * LANES + l]
-            size += x * x
-        rate = number[FIT_RATE] * unit_of(z, s, number, l) / (number[FIT_FLOOR] + size)
-        for i in range(N):
-            step = s[(RESIDUAL + i) * LANES + l]
-            for j in range(K):
-                s[(NEW + i * K + j) * LANES + l] = z[(WEIGHT + i * K + j) * LANES + l] + step * (
-                    rate * s[(PHI + j) * LANES + l]
-                )
+            size += s[(PHI + j) * LANES + l] * s[(PHI + j) * LANES + l]
+        for j in range(K):
+            s[(GAIN + j) * LANES + l] /= size
+    stepped(z, s, RESIDUAL)
 
 
 @inner
@@ -128,13 +134,7 @@ def recursive(z, s, number, doubt):
             scale += s[(PHI + j) * LANES + l] * s[(PROJECTED + j) * LANES + l]
         for j in range(K):
             s[(GAIN + j) * LANES + l] = s[(PROJECTED + j) * LANES + l] / scale
-    for l in range(LANES):
-        for i in range(N):
-            step = s[(RESIDUAL + i) * LANES + l]
-            for j in range(K):
-                s[(NEW + i * K + j) * LANES + l] = (
-                    z[(WEIGHT + i * K + j) * LANES + l] + step * s[(GAIN + j) * LANES + l]
-                )
+    stepped(z, s, RESIDUAL)
     # Rounding makes P asymmetric, and the asymmetry would grow: both halves are the mean.
     for l in range(LANES):
         for i in range(K):
@@ -217,10 +217,10 @@ def finite(s, row, count, flag):
 
 
 @inner
-def learn(z, k, s, number, observation):
+def learn(z, k, s, number):
     """The fit; writes the flags SOUND and FIT_OK, ERROR, and commits where VALID and FIT_OK are."""
     finite(s, NEXT, N, SOUND)
-    see(z, s, number, observation)
+    see(z, s, number)
     residuals(z, s)
     fit(z, s, number)
     if NOISY:

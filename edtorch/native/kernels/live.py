@@ -14,8 +14,8 @@ def larger(a, b):
 
 
 @inner
-def act(z, k, s, number, observation, normal, t):
-    """ACTION = clip(pi(observation) + deviation normal), scaled."""
+def act(z, k, s, number, normal, t):
+    """ACTION = clip(pi(OBSERVATION) + deviation normal), scaled."""
     for l in range(LANES):
         deviation = number[DEVIATION + 1]
         if ANNEALED:
@@ -26,7 +26,7 @@ def act(z, k, s, number, observation, normal, t):
         for i in range(M):
             x = z[(THETA + i * KP) * LANES + l] if POLICY_CONSTANT else 0.0
             for j in range(N):
-                seen = z[(observation + j) * LANES + l]
+                seen = z[(OBSERVATION + j) * LANES + l]
                 if LIMITED:
                     limit = z[(LIMIT + j) * LANES + l]
                     seen = smaller(larger(seen, -limit), limit)
@@ -80,10 +80,10 @@ def live(z, k, s, number, constants, uniform, clock, t):
         if EARNS:
             z[EARNED * LANES + l] += number[TICK] * reward(z, s, number, l)
         outcome = int(s[OUTCOME * LANES + l])
-        if outcome == 0 and clock - k[BEGUN * LANES + l] >= number[LIMIT_TICKS]:
-            outcome = 3
-        if RETURN_DECIDES and outcome != 0 and z[EARNED * LANES + l] >= number[LEAST_RETURN]:
-            outcome = 2
+        if outcome == RUNNING and clock - k[BEGUN * LANES + l] >= number[LIMIT_TICKS]:
+            outcome = TIMED_OUT
+        if RETURN_DECIDES and outcome != RUNNING and z[EARNED * LANES + l] >= number[LEAST_RETURN]:
+            outcome = SUCCEEDED
         s[OUTCOME * LANES + l] = float(outcome)
 
 
@@ -118,10 +118,14 @@ def advance(z, s):
 
 @inner
 def turn(z, k, s, number, constants, uniform, clock, t, first, events, ended):
-    """Record the episodes that have ended, and begin new ones within the budget."""
+    """Record the episodes that have ended, and begin new ones within the budget.
+
+    A row of ``events``: tick, learner, outcome, tick at which the episode began, its number, its
+    return, its first and its last state.
+    """
     for l in range(LANES):
         outcome = int(s[OUTCOME * LANES + l])
-        if outcome == 0:
+        if outcome == RUNNING:
             continue
         event = events[ended]
         ended += 1
@@ -132,9 +136,9 @@ def turn(z, k, s, number, constants, uniform, clock, t, first, events, ended):
             event[6 + i] = z[(START + i) * LANES + l]
             event[6 + WIDTH + i] = z[(WORLD + i) * LANES + l]
         k[EPISODES * LANES + l] += 1
-        k[FAILURES * LANES + l] += 1 if outcome == 1 else 0
-        late = LATE_SUCCEEDS and outcome == 3
-        k[SUCCESSES * LANES + l] += 1 if outcome == 2 or late else 0
+        k[FAILURES * LANES + l] += 1 if outcome == FAILED else 0
+        late = LATE_SUCCEEDS and outcome == TIMED_OUT
+        k[SUCCESSES * LANES + l] += 1 if outcome == SUCCEEDED or late else 0
         within = k[EPISODES * LANES + l] < number[MOST_EPISODES]
         if not (within and k[SUCCESSES * LANES + l] < number[MOST_SUCCESSES]):
             k[ACTIVE * LANES + l] = 0

@@ -11,9 +11,9 @@ def rides(z, k, s, ends, number, constants, uniform, rows, row, clock, count):
         for done in range(count):
             now = clock + done + 1
             # Nobody explores: the second time, the numbers are not looked at.
-            act(own, counted, s, number, OBSERVATION, drawn, row + done)
+            act(own, counted, s, number, drawn, row + done)
             live(own, counted, s, number, constants, drawn, now, row + done)
             advance(own, s)
-            if s[OUTCOME] != 0:
+            if s[OUTCOME] != RUNNING:
                 ends[e, 0], ends[e, 1] = now, int(s[OUTCOME])
                 break

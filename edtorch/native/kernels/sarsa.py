@@ -88,9 +88,9 @@ def sarsa(
             live(own, counts, s, number, constants, uniform, now, 0)
             outcome = int(s[OUTCOME])
             earned = number[STEP] + shaping(s, number)
-            if outcome == 1:
+            if outcome == FAILED:
                 earned = number[FAILURE]
-            if outcome == 2:
+            if outcome == SUCCEEDED:
                 earned = number[SUCCESS]
             age = now - counts[BEGUN]
             for i in range(N):
@@ -108,9 +108,9 @@ def sarsa(
             following = choose(table, row, values, number, counter, first, second)
             counts[CHOICE] = following
             delta = earned - before
-            if outcome == 0:
+            if outcome == RUNNING:
                 delta = earned + number[DISCOUNT] * values[following] - before
-            if outcome == 3 or not going[seed]:
+            if outcome == TIMED_OUT or not going[seed]:
                 delta = 0.0
             update(
                 table, visits[seed], traces[seed], rates, old, choice, len(actions), delta, number,

@@ -46,9 +46,9 @@ def ticks(
         if living == 0 or ended + LANES > len(events):
             return done, ended
         now = clock + done + 1
-        act(z, k, s, number, OBSERVATION, normal, row + done)
+        act(z, k, s, number, normal, row + done)
         live(z, k, s, number, constants, uniform, now, row + done)
-        learn(z, k, s, number, OBSERVATION)
+        learn(z, k, s, number)
         improves = now >= began and (now <= often or now % every == 0)
         if improves:
             improve(z, k, s, number, tape)
