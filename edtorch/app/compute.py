@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, get_args
 
 import torch
@@ -22,8 +24,9 @@ from edtorch.run.episodes import Budget
 from edtorch.run.random import BLOCK, learning_streams
 from edtorch.run.recorder import Recorder, kept_bytes
 from edtorch.run.scaled_sim import World
-from edtorch.run.tick import Tick
+from edtorch.run.tick import Population, Tick
 from edtorch.run.training import Training
+from edtorch.types import LearnerState
 
 logger = logging.getLogger("edtorch")
 
@@ -66,20 +69,30 @@ def refuse_kernels(config: Any, what: str) -> None:
         raise ConfigError(f"compute.native=on: expected auto or off with {what}")
 
 
-def check_kernels(learner: AnyLearner, world: World) -> None:
-    """ConfigError where there are no kernels for such learners, or nothing can be compiled."""
-    uniform = torch.zeros(1, world.uniforms, dtype=world.dtype)
-    tick = Tick(learner, world)
+@contextmanager
+def required(key: str) -> Iterator[None]:
+    """Kernels that ``key`` asks for: ConfigError where a part has none, or nothing compiles."""
     try:
-        population = tick.first(learner.initial([0]), world.initial(uniform))
-        learner_plan(learner, world, RowLayout.of(population))
-        numba()
+        yield
     except NoKernel as error:
         raise ConfigError(
-            f"compute.native=on: there is no kernel for {error}; expected auto or off"
+            f"{key}=on: there is no kernel for {error}; expected auto or off"
         ) from error
     except Unavailable as error:
-        raise ConfigError(f"compute.native=on: {error}") from error
+        raise ConfigError(f"{key}=on: {error}") from error
+
+
+def check_kernels(learner: AnyLearner, world: World) -> None:
+    """ConfigError where there are no kernels for such learners, or nothing can be compiled."""
+    with required("compute.native"):
+        learner_plan(learner, world, RowLayout.of(_one(learner, world)))
+        numba()
+
+
+def _one(learner: AnyLearner, world: World) -> Population[LearnerState]:
+    """A population of one, to make plans from."""
+    uniform = torch.zeros(1, world.uniforms, dtype=world.dtype)
+    return Tick(learner, world).first(learner.initial([0]), world.initial(uniform))
 
 
 def into_kernels(
@@ -93,13 +106,14 @@ def into_kernels(
     """
     if mode == "off":
         return "uncompiled"
+    if mode == "on":
+        with required("compute.native"):
+            return _into_kernels(training, threads, recorder)
     try:
         return _into_kernels(training, threads, recorder)
     except NoKernel as error:
         return f"uncompiled: there is no kernel for {error}"
     except Unavailable as error:
-        if mode == "on":
-            raise ConfigError(f"compute.native=on: {error}") from error
         logger.warning("uncompiled, some hundred times slower: %s", error)
         return "uncompiled"
 
@@ -122,9 +136,8 @@ def runs_in_kernels(learner: AnyLearner, world: World, mode: Mode) -> bool:
     """Whether learners and their world are one kernel."""
     if mode == "off" or not hasattr(world.sim, "rows"):
         return False
-    tick, uniform = Tick(learner, world), torch.zeros(1, world.uniforms, dtype=world.dtype)
     try:
-        plan_of(tick, tick.first(learner.initial([0]), world.initial(uniform)))
+        plan_of(Tick(learner, world), _one(learner, world))
         numba()
     except (NoKernel, Unavailable):
         return False

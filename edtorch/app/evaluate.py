@@ -16,6 +16,7 @@ from rich.table import Table
 
 from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compose import CONF, launch, plainly
+from edtorch.app.compute import required
 from edtorch.app.domain import described, measured
 from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
 from edtorch.app.groups import Evaluate
@@ -26,8 +27,6 @@ from edtorch.app.schema import checked_fields
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.native.evaluation import Mode, evaluate_policies
-from edtorch.native.plan import NoKernel
-from edtorch.native.program import Unavailable
 from edtorch.report.domain import RETURN, Domain
 from edtorch.report.quantities import evaluation, told_of
 from edtorch.report.statistics import evaluation_figures
@@ -128,7 +127,7 @@ def _evaluate(config: Settings) -> float:
     seeds = stored.seeds
 
     began = time.monotonic()
-    try:
+    with required("native"):
         episodes = evaluate_policies(
             stored.actor,
             stored.parameters,
@@ -139,12 +138,6 @@ def _evaluate(config: Settings) -> float:
             observer=stored.observer,
             among=_lived(folder, world, seeds) if config.policy is None else (),
         )
-    except NoKernel as error:
-        raise ConfigError(
-            f"native=on: there is no kernel for {error}; expected auto or off"
-        ) from error
-    except Unavailable as error:
-        raise ConfigError(f"native=on: {error}") from error
     domain = described(world, measured(episodes))
     baselines = _baselines(config, world, domain, seeds)
     figures = evaluation_figures(episodes, domain.measures, domain.words)
