@@ -184,7 +184,8 @@ class Sim(Protocol):
     returned last.
 
     A sim whose functions are of tensors alone (no conversions to numbers, no branches on them, no
-    libraries) may say so by an attribute ``traceable = True``: its ticks can then be compiled.
+    libraries) may say so by an attribute ``traceable = True``: rivals may then differentiate its
+    steps, and step any rows together.  ``sims.rows`` is the way to compiled ticks.
     ``sims.rows.RowSim`` makes these functions from ones of single components.
     """
 

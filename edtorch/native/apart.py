@@ -89,7 +89,7 @@ class Apart:
 
 
 class _Source:
-    """Learners in kernels as a source of actions; what it is given to remember it hands back."""
+    """Learners in kernels as a source of actions; the memory passed in is returned unchanged."""
 
     def __init__(self, apart: Apart) -> None:
         self._apart = apart
@@ -171,7 +171,7 @@ class Halves:
 
 
 class RealTime:
-    """One learner that acts in, and learns from, a world that it is told of tick by tick.
+    """One learner in real time: the caller steps the world, and passes each observation on.
 
     Observations and actions are in the units of ``world.spec``, angles wrapped; its exploration is
     that of a training with the same seed.  The time between two ticks is ``world.dt``, whatever

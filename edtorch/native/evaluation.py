@@ -111,7 +111,7 @@ class Rides:
         )
 
     def _memory(self, size: int) -> tuple[NDArray[Any], ...]:
-        """What is kept of so many episodes, counters, scratch, and where they ended."""
+        """Memory for ``size`` episodes: numbers, counters, scratch, ends ``[size, 2]``."""
         counters = np.zeros((size, self._counters), dtype=np.int64)
         counters[:, self._plan.constants["ACTIVE"]] = 1
         ends = np.zeros((size, 2), dtype=np.int64)

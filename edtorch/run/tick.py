@@ -1,8 +1,8 @@
 """One tick of a population in its worlds, as pure functions of tensors.
 
 ``Tick.live`` lets everybody act and learn (Fig. 1); ``Tick.turn`` begins new episodes where some
-have ended.  Neither asks a tensor for its number, so that both compile as they are
-(``edtorch.compiled.program``).  ``edtorch.run.rollout`` runs them one by one.
+have ended.  Neither converts a tensor to a number.  ``edtorch.run.rollout`` runs them one by one;
+``edtorch.native`` has the same tick as a compiled loop.
 """
 
 from __future__ import annotations
