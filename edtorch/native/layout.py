@@ -14,6 +14,8 @@ import numpy as np
 import torch
 from torch.utils import _pytree as pytree
 
+from edtorch.run.trees import tensors_of
+
 _FIRST = ("learners.model.", "learners.fit.", "learners.noise.")
 """What a fit changes lies together, in this order: it is kept or dropped as a whole."""
 
@@ -45,8 +47,7 @@ class RowLayout:
     @staticmethod
     def of(tree: Any) -> RowLayout:
         """For a tree like this one."""
-        found, spec = pytree.tree_flatten_with_path(tree)
-        tensors = {_name(path): tensor for path, tensor in found}
+        tensors = tensors_of(tree)
         rows = {True: 0, False: 0}
         leaves: dict[str, Leaf] = {}
         for name in sorted(tensors, key=_place):
@@ -55,7 +56,8 @@ class RowLayout:
             leaf = Leaf(tuple(tensor.shape[1:]), tensor.dtype, rows[counts], counts)
             rows[counts] = leaf.rows.stop
             leaves[name] = leaf
-        return RowLayout({name: leaves[name] for name in tensors}, spec, rows[False], rows[True])
+        ordered = {name: leaves[name] for name in tensors}
+        return RowLayout(ordered, pytree.tree_structure(tree), rows[False], rows[True])
 
     def pack(self, tree: Any, lanes: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
         """Numbers and counters; the last group is filled up with the last learner, not active."""
@@ -83,10 +85,6 @@ class RowLayout:
             flat = rows.transpose(0, 2, 1).reshape(-1, rows.shape[1])[:size]
             found.append(torch.from_numpy(flat.copy()).to(leaf.dtype).reshape(size, *leaf.shape))
         return pytree.tree_unflatten(found, self.spec)
-
-
-def _name(path: tuple[Any, ...]) -> str:
-    return ".".join(str(getattr(key, "name", getattr(key, "key", key))) for key in path)
 
 
 def _place(name: str) -> int:
