@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import torch
 
 from sims.base import Outcome
 
@@ -55,6 +59,46 @@ class Episode:
     trail: tuple[int, int] = (0, 0)
     total_reward: float = math.nan
     success: bool | None = None
+
+
+_INTEGERS, _FLOATS = ("row", "number", "outcome", "success"), ("start", "seconds", "total_reward")
+_UNKNOWN = -1
+
+
+def episodes_state(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """All that is known of episodes of one sim: a tensor ``[E]`` for each field and measure."""
+    named = list(episodes[0].measures) if episodes else []
+    columns = {name: [getattr(e, name) for e in episodes] for name in (*_INTEGERS, *_FLOATS)}
+    columns["success"] = [_UNKNOWN if known is None else known for known in columns["success"]]
+    return {
+        **{name: torch.tensor(columns[name], dtype=torch.int64) for name in _INTEGERS},
+        **{name: torch.tensor(columns[name], dtype=torch.float64) for name in _FLOATS},
+        "measures": {
+            name: torch.tensor([e.measures[name] for e in episodes], dtype=torch.float64)
+            for name in named
+        },
+    }
+
+
+def episodes_of(state: Mapping[str, Any]) -> list[Episode]:
+    """The episodes that ``episodes_state`` was made of."""
+    measures = {name: values.tolist() for name, values in state["measures"].items()}
+    columns = (state[name].tolist() for name in (*_INTEGERS, *_FLOATS))
+    return [
+        Episode(
+            row=row,
+            number=number,
+            start=start,
+            seconds=seconds,
+            outcome=Outcome(outcome),
+            measures={name: values[place] for name, values in measures.items()},
+            total_reward=total_reward,
+            success=None if success == _UNKNOWN else bool(success),
+        )
+        for place, (row, number, outcome, success, start, seconds, total_reward) in enumerate(
+            zip(*columns, strict=True)
+        )
+    ]
 
 
 @dataclass(frozen=True)
