@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Sequence
 from typing import Any
 
@@ -71,12 +72,13 @@ def lived(
     world: World, learner: Learner, seeds: Sequence[int], seconds: float
 ) -> tuple[Training, Recorded]:
     """Learners whose policy is never improved, and what they have lived through."""
-    recorder = Recorder(world, len(seeds))
     budget = Budget(seconds=seconds)
-    training = Training(learner, world, seeds, budget, schedule=NEVER, recorder=recorder)
-    while not training.done:
-        training.advance(700)
-    lives = [recorder.lived(row) for row in range(len(seeds))]
+    with tempfile.TemporaryFile() as file:
+        recorder = Recorder(world, len(seeds), file)
+        training = Training(learner, world, seeds, budget, schedule=NEVER, recorder=recorder)
+        while not training.done:
+            training.advance(700)
+        lives = [recorder.lived(row) for row in range(len(seeds))]
     return training, gathered(lives, seeds, world.dt)
 
 

@@ -22,7 +22,7 @@ from edtorch.native.program import Unavailable, numba
 from edtorch.native.stage import Native
 from edtorch.run.episodes import Budget
 from edtorch.run.random import BLOCK, learning_streams
-from edtorch.run.recorder import Recorder, kept_bytes
+from edtorch.run.recorder import Recorder, gathering_bytes
 from edtorch.run.scaled_sim import World
 from edtorch.run.tick import Population, Tick
 from edtorch.run.training import Training
@@ -176,9 +176,10 @@ def free_bytes(device: torch.device) -> int:
 
 
 def check_recording(budget: Budget, world: World, learners: int) -> None:
-    """Refuse to keep more transitions than half of the free memory holds; ConfigError."""
+    """Refuse to record more transitions than can be gathered at the end in half of the free memory;
+    ConfigError."""
     ticks = expected_ticks(budget, world)
-    needed, free = kept_bytes(world, learners, ticks), free_bytes(torch.device("cpu"))
+    needed, free = gathering_bytes(world, learners, ticks), free_bytes(torch.device("cpu"))
     if needed > free / 2:
         raise ConfigError(
             f"log.transitions=true: {learners} learners of up to {ticks * world.dt:.0f} s each take"

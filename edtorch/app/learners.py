@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import tempfile
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +47,9 @@ class Learners(Learning):
         self._noted = 0
         notes = [*self._fresh_notes(), *near_seams(config.reward, setup.world.spec)]
         if config.log.transitions:
-            self._recorder = Recorder(setup.world, len(setup.seeds))
+            file = tempfile.TemporaryFile()
+            self._recorder = Recorder(setup.world, len(setup.seeds), file)
+            weakref.finalize(self._recorder, file.close)
         self._training = training = Training(
             setup.learner,
             setup.world,

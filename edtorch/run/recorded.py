@@ -35,7 +35,7 @@ class Recorded:
 
 def first_rows(episode: np.ndarray) -> np.ndarray:
     """Whether each row is the first of its episode; episode ``[N]``."""
-    return np.append(True, np.diff(episode) != 0)
+    return np.diff(episode, prepend=episode[:1] - 1) != 0
 
 
 def last_rows(episode: np.ndarray) -> np.ndarray:

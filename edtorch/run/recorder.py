@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from edtorch.run.rollout import Happened
 from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 
 _BLOCK = 512
-"""Ticks for which there is room at once."""
+"""Ticks that are written at once."""
 
 
 @dataclass(frozen=True)
@@ -32,54 +32,92 @@ class Lived:
     outcome: np.ndarray
 
 
-def kept_bytes(world: World, learners: int, ticks: float) -> float:
-    """Memory that the recording of so many ticks takes, about: kept, put together, written."""
-    numbers = 2 * len(world.spec.state) + len(world.spec.action)
-    return 3.0 * (8 * numbers + 6) * learners * ticks
+def gathering_bytes(world: World, learners: int, ticks: float) -> float:
+    """Memory that gathering the recording of so many ticks for ``transitions.npz`` takes, about:
+    all numbers twice, by learner and together, and what else is said of each row."""
+    return (2.0 * 8 * _width(world) + 56) * learners * ticks
+
+
+def _width(world: World) -> int:
+    return 2 * len(world.spec.state) + len(world.spec.action)
 
 
 class Recorder:
-    """Keeps states, actions and how the episodes stood, tick by tick."""
+    """Adds states, actions and how the episodes stood to a file, tick by tick.
 
-    def __init__(self, world: World, learners: int) -> None:
+    file: buffered, open for reading and writing; what it holds is gone on from.  It is a row of
+    records, one for each tick: ``numbers`` ``[B, 2n + m]`` float64 (state, action, next state,
+    scaled), ``episode`` ``[B]`` int32, ``outcome`` ``[B]`` int8 (-1: nothing happened).  Raises
+    ValueError if it does not hold whole records, and OSError where it cannot be written to.
+    """
+
+    def __init__(self, world: World, learners: int, file: IO[bytes]) -> None:
         self._world = world
-        self._size = learners
+        self._file = file
         self._n = len(world.spec.state)
-        self._numbers: list[Tensor] = []
-        self._episodes: list[Tensor] = []
-        self._outcomes: list[Tensor] = []
-        self._ticks = 0
+        self._record = np.dtype(
+            [
+                ("numbers", "<f8", (learners, _width(world))),
+                ("episode", "<i4", (learners,)),
+                ("outcome", "i1", (learners,)),
+            ]
+        )
+        size = file.seek(0, os.SEEK_END)
+        if size % self._record.itemsize:
+            raise ValueError(
+                f"recording: has {size} bytes, expected a multiple of {self._record.itemsize} for"
+                f" {learners} learners of {world.spec.name}"
+            )
+        self._ticks = size // self._record.itemsize
+        self._buffer = np.zeros(_BLOCK, self._record)
+        self._waiting = 0
+
+    @property
+    def ticks(self) -> int:
+        """How many the file holds; after ``flush``, all there were."""
+        return self._ticks
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file that are records."""
+        return self._ticks * self._record.itemsize
 
     def add(self, happened: Happened[Any]) -> None:
         """One more tick."""
-        row = self._ticks % _BLOCK
-        if row == 0:
-            width = 2 * self._n + len(self._world.spec.action)
-            kind = torch.float64
-            self._numbers.append(torch.empty(_BLOCK, self._size, width, dtype=kind))
-            self._episodes.append(torch.empty(_BLOCK, self._size, dtype=torch.int32))
-            self._outcomes.append(torch.empty(_BLOCK, self._size, dtype=torch.int8))
-        transition, numbers = happened.transition, self._numbers[-1][row]
-        numbers[:, : self._n] = transition.state
-        numbers[:, self._n : -self._n] = transition.action
-        numbers[:, -self._n :] = transition.next_state
-        self._episodes[-1][row] = happened.before.episodes
-        self._outcomes[-1][row] = torch.where(transition.valid, happened.outcome, -1)
-        self._ticks += 1
+        transition, here = happened.transition, self._buffer[self._waiting]
+        numbers = here["numbers"]
+        numbers[:, : self._n] = transition.state.numpy(force=True)
+        numbers[:, self._n : -self._n] = transition.action.numpy(force=True)
+        numbers[:, -self._n :] = transition.next_state.numpy(force=True)
+        here["episode"][:] = happened.before.episodes.numpy(force=True)
+        outcome = torch.where(transition.valid, happened.outcome, -1)
+        here["outcome"][:] = outcome.numpy(force=True)
+        self._waiting += 1
+        if self._waiting == _BLOCK:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what waits."""
+        # At a place of its own, so that a write that failed can be repeated.
+        self._file.seek(self.size)
+        self._file.write(self._buffer[: self._waiting].tobytes())
+        self._file.flush()
+        self._ticks += self._waiting
+        self._waiting = 0
 
     def lived(self, row: int) -> Lived:
         """Of one learner."""
-        numbers = self._whole(self._numbers, row)
-        outcome = self._whole(self._outcomes, row)
+        records = self._records()
+        outcome = np.array(records["outcome"][:, row], dtype=np.int64)
         stepped = outcome >= 0
-        spec = self._world.spec
-        state = np.array([q.scale for q in spec.state])
-        numbers = numbers * np.concatenate([state, [q.scale for q in spec.action], state])
-        ticks, outcome = np.flatnonzero(stepped), outcome[stepped].astype(np.int64)
+        ticks, outcome = np.flatnonzero(stepped), outcome[stepped]
         # An episode that was broken off without a word goes on as another one.
-        number = self._whole(self._episodes, row)[stepped]
+        number = records["episode"][ticks, row]
         begins = (np.diff(ticks, prepend=ticks[:1]) > 1) | (np.diff(number, prepend=0) != 0)
-        n, numbers = self._n, numbers[stepped]
+        n, spec = self._n, self._world.spec
+        state = [q.scale for q in spec.state]
+        numbers = records["numbers"][ticks, row]
+        numbers *= np.array([*state, *(q.scale for q in spec.action), *state])
         return Lived(
             state=numbers[:, :n],
             action=numbers[:, n:-n],
@@ -88,11 +126,12 @@ class Recorder:
             outcome=outcome,
         )
 
-    def _whole(self, blocks: list[Tensor], row: int) -> np.ndarray:
-        if not blocks:
-            width = 2 * self._n + len(self._world.spec.action)
-            return np.zeros((0, width) if blocks is self._numbers else (0,))
-        return torch.cat([block[:, row] for block in blocks])[: self._ticks].numpy()
+    def _records(self) -> np.ndarray:
+        """All, as the file has them: only what is asked for is read."""
+        self.flush()
+        if not self._ticks:
+            return np.zeros(0, self._record)
+        return np.memmap(self._file, self._record, "r", shape=(self._ticks,))
 
 
 def ended(outcome: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

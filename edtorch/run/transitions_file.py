@@ -87,9 +87,10 @@ def _described(quantity: Quantity, *, periodic: bool) -> dict[str, Any]:
 
 
 def _seeds(recorded: Recorded) -> list[dict[str, Any]]:
-    found = []
-    for seed in dict.fromkeys(recorded.seed[recorded.seed >= 0].tolist()):
-        own = recorded.episode[recorded.seed == seed]
+    first = first_rows(recorded.episode)
+    seeds, episodes, found = recorded.seed[first], recorded.episode[first], []
+    for seed in dict.fromkeys(seeds[seeds >= 0].tolist()):
+        own = episodes[seeds == seed]
         found.append({"seed": seed, "episodes": [int(own.min()), int(own.max()) + 1]})
     return found
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,9 +95,10 @@ def halved(training: Training, recorder: Recorder | None = None, lanes: int = 1)
 
 
 @pytest.mark.oracle
-def test_learners_in_kernels_are_the_same_in_a_world_that_is_not() -> None:
+def test_learners_in_kernels_are_the_same_in_a_world_that_is_not(tmp_path: Path) -> None:
     seeds = list(range(6))
-    kept = [Recorder(World(Pendulum()), len(seeds)) for _ in range(2)]
+    files = [(tmp_path / name).open("w+b") for name in "ab"]
+    kept = [Recorder(World(Pendulum()), len(seeds), file) for file in files]
     eager = pendulums(seeds, kept[0])
     apart = halved(pendulums(seeds, kept[1]), kept[1], lanes=4)
     for training in (eager, apart):
@@ -115,6 +117,8 @@ def test_learners_in_kernels_are_the_same_in_a_world_that_is_not() -> None:
         np.testing.assert_allclose(found.state, wanted.state, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(found.action, wanted.action, rtol=1e-9, atol=1e-9)
         assert (found.episode == wanted.episode).all()
+    for file in files:
+        file.close()
 
 
 @pytest.mark.reference

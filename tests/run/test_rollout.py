@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import torch
 
@@ -51,15 +53,16 @@ def test_an_evaluation_is_the_loop_written_out() -> None:
     assert outcomes == {Outcome.FAILED, Outcome.TIMED_OUT}
 
 
-def test_recorded_actions_are_those_applied() -> None:
+def test_recorded_actions_are_those_applied(tmp_path: Path) -> None:
     """With what the learner knew before each tick, the same action comes out."""
     training = bicycle_training([5, 6], Budget(seconds=2.0))
     world, tick, streams = training.world, training.tick, learning_streams(training.world, [5, 6])
-    recorder = Recorder(world, 2)
-    other = Training(training.learner, world, [5, 6], training.budget, recorder=recorder)
-    other.advance(60)
+    with (tmp_path / "file").open("w+b") as file:
+        recorder = Recorder(world, 2, file)
+        other = Training(training.learner, world, [5, 6], training.budget, recorder=recorder)
+        other.advance(60)
+        lives = [recorder.lived(row) for row in range(2)]
     scale = np.array([q.scale for q in world.spec.action])
-    lives = [recorder.lived(row) for row in range(2)]
     population, ticks = training.stage.population, 0
     with torch.inference_mode():
         for happened in rollout(tick, population, streams.at, ticks=60):

@@ -351,8 +351,12 @@ def test_joined_files_keep_their_episodes_apart() -> None:
     assert np.array_equal(both.state[len(DATA) :], DATA.state)
 
 
-def test_nothing_lived_is_nothing_gathered() -> None:
+def test_nothing_lived_is_nothing_gathered(tmp_path: Path) -> None:
     """A learner without a transition leaves none, and no number to its episodes."""
-    recorder = Recorder(WORLD, 2)
-    nobody = gathered([recorder.lived(0), recorder.lived(1)], [0, 1], 1.0)
+    with (tmp_path / "recording").open("w+b") as file:
+        recorder = Recorder(WORLD, 2, file)
+        nobody = gathered([recorder.lived(0), recorder.lived(1)], [0, 1], 1.0)
     assert len(nobody) == 0
+    save_transitions(tmp_path / "nobody.npz", nobody, WORLD.spec)
+    with np.load(tmp_path / "nobody.npz") as saved:
+        assert saved["state"].shape == (0, 2) and json.loads(str(saved["meta"]))["seeds"] == []
