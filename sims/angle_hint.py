@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 _ENOUGH = 200
 """Observations after which it is decided."""
@@ -24,6 +26,21 @@ class AngleHint:
         self._low = np.full(len(names), np.inf)
         self._high = -self._low
 
+    def memory(self) -> dict[str, Tensor]:
+        """What it has found, to go on from in another one."""
+        return {
+            "left": torch.tensor(self._left),
+            "fits": torch.from_numpy(self._fits.copy()),
+            "low": torch.from_numpy(self._low.copy()),
+            "high": torch.from_numpy(self._high.copy()),
+        }
+
+    def recall(self, memory: dict[str, Tensor]) -> None:
+        """Go on from there."""
+        self._left = int(memory["left"])
+        self._fits = memory["fits"].numpy().copy()
+        self._low, self._high = (memory[name].numpy().copy() for name in ("low", "high"))
+
     def add(self, observation: NDArray[np.floating]) -> str | None:
         """The line about the pairs, with the observation by which it is decided; else None."""
         self._left -= 1
@@ -33,7 +50,12 @@ class AngleHint:
         self._fits &= np.abs(square[:, None] + square - 1) < _ERROR
         self._low = np.minimum(self._low, observation)
         self._high = np.maximum(self._high, observation)
-        if self._left:
+        return None if self._left else self.line
+
+    @property
+    def line(self) -> str | None:
+        """The line about the pairs, None if there is none, or as long as that is not decided."""
+        if self._left > 0:
             return None
         moved = self._high - self._low > _RANGE
         places = np.argwhere(self._fits & moved & moved[:, None]).tolist()

@@ -181,7 +181,7 @@ class Sim(Protocol):
     ``state`` below is the sim's own full state, ``[*batch, k]``; what a learner sees of it is
     ``observe(state)``, ``[*batch, n]``.  A sim that wraps a world with a memory of its own (a
     physics engine) may treat the tensor as a view of it; it then accepts only the state that it
-    returned last.
+    returned last (and see ``Remembering``).
 
     A sim whose functions are of tensors alone (no conversions to numbers, no branches on them, no
     libraries) may say so by an attribute ``traceable = True``: rivals may then differentiate its
@@ -265,6 +265,22 @@ class Losing(Protocol):
 
     def lost(self, state: Tensor) -> Tensor:
         """Whether the episode that is in ``state`` was lost, bool ``[*batch]``."""
+        ...
+
+
+@runtime_checkable
+class Remembering(Protocol):
+    """A sim with a memory of its own, that can be brought back to where it was.  What any other sim
+    returns is to depend on its arguments alone."""
+
+    def memory(self) -> dict[str, Tensor]:
+        """What is needed for that, beside the state that was returned last."""
+        ...
+
+    def recall(self, state: Tensor, memory: dict[str, Tensor]) -> Tensor:
+        """Go on, in a sim newly built, from ``state`` ``[*batch, k]``, the one that another had
+        returned last when this was its ``memory``.  Returns that state, in which episodes that
+        could not be brought back are lost (``Losing``)."""
         ...
 
 

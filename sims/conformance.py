@@ -10,7 +10,17 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from sims.base import Judged, Lasting, Losing, Outcome, Rewarded, Sim, Spec, spec_index
+from sims.base import (
+    Judged,
+    Lasting,
+    Losing,
+    Outcome,
+    Remembering,
+    Rewarded,
+    Sim,
+    Spec,
+    spec_index,
+)
 from sims.rows import NoRows, torch_rows_of
 
 Shape = tuple[int, ...]
@@ -30,7 +40,8 @@ def check(
     finite states; the same uniforms giving the same digits; rows of a batch equal, bit for bit, to
     batches of one; arguments left as they were; restarts of some rows only, which leave alone what
     lasts (``sims.base.Lasting``); outcomes; rewards, successes and faults, where offered; measures;
-    observations within their periods and bounds; goals constant during an episode.
+    observations within their periods and bounds; goals constant during an episode; that a sim which
+    recalls where it was (``sims.base.Remembering``) goes on with the same digits.
 
     A sim with ``rows`` (``sims.rows``) is compiled where numba is installed, which takes seconds,
     and each of its functions held equal to its tensor functions to 1e-12 of 1 + |x|.
@@ -173,7 +184,31 @@ def _check_batch(
     again = _episode(make(), draws)
     same = all(torch.equal(a, b) for a, b in zip(states, again, strict=True))
     _expect(same, spec, f"batch {batch}: other digits from the same uniforms and actions")
+    _check_memory(make, draws)
     return measures
+
+
+def _check_memory(make: Callable[[], Sim], draws: _Draws) -> None:
+    sim = make()
+    if not isinstance(sim, Remembering):
+        return
+    moves = list(zip(draws.actions, draws.disturbances, strict=True))
+    half = len(moves) // 2
+    state = sim.initial(draws.starts)
+    for move in moves[:half]:
+        state = sim.step(state, *move)
+    memory, mask = sim.memory(), torch.ones(state.shape[:-1], dtype=torch.bool)
+
+    def rest(sim: Sim, state: Tensor) -> list[Tensor]:
+        states = [state]
+        for move in moves[half:]:
+            states.append(sim.step(states[-1], *move))
+        return [*states, sim.restart(states[-1], mask, draws.restarts)]
+
+    wanted, other = rest(sim, state), make()
+    assert isinstance(other, Remembering)
+    for k, (a, b) in enumerate(zip(rest(other, other.recall(state, memory)), wanted, strict=True)):
+        _expect(torch.equal(a, b), sim.spec, f"recall: other digits, {k} steps after")
 
 
 def _check_judgement(sim: Sim, state: Tensor, where: str) -> None:

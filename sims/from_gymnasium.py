@@ -11,11 +11,13 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from gymnasium import spaces
+from numpy.typing import NDArray
 from torch import Tensor
 
 from sims.angle_hint import AngleHint
 from sims.angle_view import Angles, AngleView, angle_view, with_rates
 from sims.base import Outcome, Quantity, SimulatorFailed, Spec, are_names, expect_action
+from sims.gymnasium_copy import Actions, Copy, packed, unpacked
 from sims.gymnasium_source import (
     Env,
     Factory,
@@ -62,7 +64,9 @@ class GymnasiumSim:
 
     The copies have a memory of their own, so ``step`` and ``restart`` take only the state that was
     returned last; ``initial`` starts everything anew.  A row that has ended stays as it is until
-    it is restarted.
+    it is restarted.  ``recall`` resets new copies with the seeds of the episodes and repeats their
+    actions: where that leads elsewhere, the environment does not repeat itself under its seed, and
+    the episode is lost.
 
     Arguments: ``env_id``: as for ``gymnasium.make``, with ``env_kwargs``; or ``env``: a factory
     without arguments, or an environment, which is copied by its spec where it has one.  ``dt``:
@@ -105,7 +109,7 @@ class GymnasiumSim:
         self._source = source_of(env_id, env, env_kwargs or {})
         self._ended = Outcome.SUCCEEDED if termination == "success" else Outcome.FAILED
         name, first = self._source.name, self._source.first
-        self._envs = [first]
+        self._copies = [Copy(first)]
         self._last: Tensor | None = None
         self._lost_at_once, self._has_lost, self._has_stepped = 0, False, False
         self.notes: list[str] = []
@@ -205,23 +209,20 @@ class GymnasiumSim:
 
     def initial(self, uniforms: Tensor) -> Tensor:
         """Start states ``[*batch, k + 5]``; uniforms ``[*batch, 1]`` in [0, 1) seed the copies."""
-        seeds = uniforms.reshape(-1, 1)
-        while len(self._envs) < len(seeds):
-            self._envs.append(self._source.another())
-        for env in self._envs:
-            taken_by(env, self)
-        rows = torch.stack([self._reset(k, seeds[k]) for k in range(len(seeds))])
+        drawn = uniforms.reshape(-1)
+        self._take(len(drawn))
+        rows = torch.stack([self._begin(k, number) for k, number in enumerate(drawn)])
         return self._return(rows.reshape(*uniforms.shape[:-1], -1))
 
     def restart(self, state: Tensor, mask: Tensor, uniforms: Tensor) -> Tensor:
         """``state`` with a new start where ``mask`` ``[*batch]``, unchanged elsewhere."""
         rows = self._rows(state)
-        seeds = uniforms.reshape(-1, 1)
+        drawn = uniforms.reshape(-1)
         for k in mask.reshape(-1).nonzero()[:, 0].tolist():
             if rows[k, _LOST] and self._source.more is not None:
-                self._envs[k] = self._source.another()
-                taken_by(self._envs[k], self)
-            rows[k] = self._reset(k, seeds[k])
+                self._copies[k] = Copy(self._source.another())
+                taken_by(self._copies[k].env, self)
+            rows[k] = self._begin(k, drawn[k])
         return self._return(rows.reshape(state.shape))
 
     def step(self, state: Tensor, action: Tensor, uniforms: Tensor) -> Tensor:
@@ -230,23 +231,15 @@ class GymnasiumSim:
         rows = self._rows(state)
         actions = action.detach().cpu().reshape(len(rows), -1).numpy()
         for k, row in enumerate(rows):
-            if row[_TERMINATED] or row[_TRUNCATED] or row[_LOST]:
+            if _over(row):
                 continue
             try:
-                observation, reward, terminated, truncated, info = self._envs[k].step(
-                    actions[k].astype(self._box.dtype)
-                )
-                row[:_TERMINATED] = self._checked(observation)
-                row[_RETURN] += _finite_reward(reward)
-                success = info.get("is_success")
+                self._move(k, row, actions[k].astype(self._box.dtype))
             except Exception as error:  # whatever the environment does, it loses this episode only
                 self._lose(row, error)
                 continue
             self._has_stepped = True
             self._look_for_angles(row)
-            row[_TERMINATED], row[_TRUNCATED] = float(terminated), float(truncated)
-            if success is not None:
-                row[_SUCCESS] = float(bool(success))
         return self._return(rows.reshape(state.shape))
 
     def observe(self, state: Tensor) -> Tensor:
@@ -282,16 +275,93 @@ class GymnasiumSim:
 
     def close(self) -> None:
         """Close the copies."""
-        for env in self._envs:
-            env.close()
+        for copy in self._copies:
+            copy.env.close()
+
+    def memory(self) -> dict[str, Tensor]:
+        """Seeds and actions of the episodes under way, and what decides which lines are still to be
+        said."""
+        if self._last is None:
+            raise ValueError(f"memory: {self._source.name} has not been started")
+        rows = self._last.reshape(-1, self._last.shape[-1])
+        episodes: list[tuple[int, Actions]] = [
+            (0, []) if _over(row) else (copy.seed, copy.actions)
+            for copy, row in zip(self._copies, rows, strict=False)
+        ]
+        said = [self._lost_at_once, self._has_lost, self._has_stepped]
+        hint = {} if self._hint is None else self._hint.memory()
+        return {
+            **packed(episodes, self._box.shape[0]),
+            "said": torch.tensor(said, dtype=torch.int64),
+            **{f"hint.{name}": tensor for name, tensor in hint.items()},
+        }
+
+    def recall(self, state: Tensor, memory: dict[str, Tensor]) -> Tensor:
+        """See ``sims.base.Remembering``; warns once of the episodes that are lost."""
+        self._lost_at_once, lost, stepped = memory["said"].tolist()
+        self._has_lost, self._has_stepped = bool(lost), bool(stepped)
+        if self._hint is not None:
+            hint = {name: memory[f"hint.{name}"] for name in self._hint.memory()}
+            self._hint.recall(hint)
+            self._note(self._hint.line)
+        rows = state.reshape(-1, state.shape[-1]).clone()
+        self._take(len(rows))
+        episodes = unpacked(memory, self._box.dtype)
+        running = [k for k, row in enumerate(rows) if not _over(row)]
+        failed = {k: why for k in running if (why := self._repeat(k, *episodes[k], rows[k]))}
+        if failed:
+            rows[list(failed), _LOST] = 1.0
+            logger.warning(
+                "%s: %d of %d episodes are dropped: the environment does not repeat itself under"
+                " its seed (%s)",
+                self._source.name,
+                len(failed),
+                len(running),
+                next(iter(failed.values())),
+            )
+        return self._return(rows.reshape(state.shape))
+
+    def _repeat(self, k: int, seed: int, actions: Actions, wanted: Tensor) -> str | None:
+        """Bring a copy to the row ``wanted`` by these actions; why not, if that is not where they
+        lead."""
+        try:
+            row = self._reset(k, seed, wanted.dtype)
+            for action in actions:
+                if _over(row):
+                    return "an episode ended early"
+                self._move(k, row, action)
+        except Exception as error:  # as in an episode
+            return _why(error)
+        same = row.numpy().tobytes() == wanted.numpy().tobytes()
+        return None if same else "the same actions led elsewhere"
 
     def env_seed(self, uniform: float) -> int:
         """The seed that a restart with this uniform number resets a copy with."""
         return int(uniform * 2**31)
 
-    def _reset(self, k: int, uniform: Tensor) -> Tensor:
+    def _take(self, count: int) -> None:
+        """As many copies, for this object alone."""
+        while len(self._copies) < count:
+            self._copies.append(Copy(self._source.another()))
+        for copy in self._copies:
+            taken_by(copy.env, self)
+
+    def _begin(self, k: int, uniform: Tensor) -> Tensor:
+        return self._reset(k, self.env_seed(float(uniform)), uniform.dtype)
+
+    def _move(self, k: int, row: Tensor, action: NDArray[np.floating]) -> None:
+        """Step copy ``k`` from ``row``, in place; raises whatever the environment does."""
+        observation, reward, terminated, truncated, info = self._copies[k].step(action)
+        row[:_TERMINATED] = self._checked(observation)
+        row[_RETURN] += _finite_reward(reward)
+        success = info.get("is_success")
+        row[_TERMINATED], row[_TRUNCATED] = float(terminated), float(truncated)
+        if success is not None:
+            row[_SUCCESS] = float(bool(success))
+
+    def _reset(self, k: int, seed: int, dtype: torch.dtype) -> Tensor:
         try:
-            started = self._envs[k].reset(seed=self.env_seed(float(uniform)))
+            started = self._copies[k].reset(seed)
             if not (isinstance(started, tuple) and len(started) == 2):
                 raise ValueError(f"it gave {type(started).__name__}, expected (observation, info)")
             read = self._checked(started[0])
@@ -300,7 +370,7 @@ class GymnasiumSim:
             if isinstance(error, TypeError) and "unexpected keyword argument 'seed'" in why:
                 why = f"it takes no seed, expected reset(self, *, seed=None, options=None) ({why})"
             raise SimulatorFailed(f"{self._source.name}: reset failed: {why}") from error
-        row = torch.zeros(self._size + 5, dtype=uniform.dtype)
+        row = torch.zeros(self._size + 5, dtype=dtype)
         row[:_TERMINATED], row[_SUCCESS] = read, -1.0
         self._check_pairs(row)
         return row
@@ -328,7 +398,10 @@ class GymnasiumSim:
                     )
 
     def _look_for_angles(self, row: Tensor) -> None:
-        line = None if self._hint is None else self._hint.add(row[:_TERMINATED].numpy())
+        if self._hint is not None:
+            self._note(self._hint.add(row[:_TERMINATED].numpy()))
+
+    def _note(self, line: str | None) -> None:
         if line is not None:
             self.notes.append(f"{self._source.name}: {line}")
 
@@ -354,7 +427,7 @@ class GymnasiumSim:
         name = self._source.name
         if last is None:
             raise ValueError(f"state: {name} has not been started; expected initial first")
-        if not all(belongs_to(env, self) for env in self._envs):
+        if not all(belongs_to(copy.env, self) for copy in self._copies):
             raise SimulatorFailed(
                 f"{name}: the one environment that was given has begun other episodes meanwhile; to"
                 " evaluate during learning give a factory, a function that returns a new one"
@@ -372,6 +445,11 @@ class GymnasiumSim:
         # A copy, so that changes made outside are noticed.
         self._last = state.clone()
         return state
+
+
+def _over(row: Tensor) -> bool:
+    """Whether the episode in a row has ended or was lost."""
+    return bool(row[_TERMINATED] or row[_TRUNCATED] or row[_LOST])
 
 
 def _why(error: Exception) -> str:

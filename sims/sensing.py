@@ -22,6 +22,7 @@ from sims.base import (
     Losing,
     Pictured,
     Quantity,
+    Remembering,
     Rewarded,
     Sim,
     Spec,
@@ -194,6 +195,9 @@ def _offers(sim: Sim, memory: int) -> dict[str, Any]:
         offers["succeeded"] = partial(_of_inner, sim.succeeded, memory)
     if isinstance(sim, Losing):
         offers["lost"] = partial(_of_inner, sim.lost, memory)
+    if isinstance(sim, Remembering):
+        offers["memory"] = sim.memory
+        offers["recall"] = partial(_recall, sim, memory)
     if hasattr(sim, "baselines") or hasattr(sim, "yardsticks"):
         offers["baselines"] = partial(_baselines, sim, memory)
     if isinstance(sim, Jointed):
@@ -205,6 +209,11 @@ def _offers(sim: Sim, memory: int) -> dict[str, Any]:
 
 def _of_inner(method: Callable[..., Any], memory: int, state: Tensor, *others: Any) -> Any:
     return method(state[..., : state.shape[-1] - memory], *others)
+
+
+def _recall(sim: Remembering, readings: int, state: Tensor, memory: dict[str, Tensor]) -> Tensor:
+    size = state.shape[-1] - readings
+    return torch.cat((sim.recall(state[..., :size], memory), state[..., size:]), -1)
 
 
 def _baselines(sim: Sim, memory: int) -> Mapping[str, Controller]:

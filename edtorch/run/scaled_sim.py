@@ -13,7 +13,7 @@ from edtorch.rewards import Reward
 from edtorch.run.success import SuccessRule
 from edtorch.shapes import Actions, Features, States
 from edtorch.types import Transition
-from sims.base import Actuated, Fallible, Losing, Outcome, Rewarded, Sim
+from sims.base import Actuated, Fallible, Losing, Outcome, Remembering, Rewarded, Sim
 
 
 class World:
@@ -171,6 +171,17 @@ class World:
     def success(self, state: Tensor, outcome: Tensor) -> Tensor:
         """See ``SuccessRule.success``; state ``[B, k]``: the last one of each episode."""
         return self.rule.success(self.sim, state, outcome)
+
+    def memory(self) -> dict[str, Tensor]:
+        """What the future depends on beside the state, see ``sims.base.Remembering``; of most sims
+        nothing."""
+        return self.sim.memory() if isinstance(self.sim, Remembering) else {}
+
+    def recall(self, state: Tensor, memory: dict[str, Tensor]) -> Tensor:
+        """Go on, in a new world, from the sim's state ``[B, k]`` that another one returned last;
+        memory: what it then was there.  Returns the state, in which episodes that could not be
+        brought back are lost."""
+        return self.sim.recall(state, memory) if isinstance(self.sim, Remembering) else state
 
     def lost(self, state: Tensor) -> Tensor:
         """Whether each episode was lost to a fault of the simulator, bool ``[B]``."""

@@ -188,6 +188,17 @@ class Lossy(Bicycle):
         return torch.zeros(state.shape[:-1], dtype=torch.int64)
 
 
+class Amnesiac(Bicycle):
+    """Says that it recalls where it was, and starts anew."""
+
+    def memory(self) -> dict[str, Tensor]:
+        return {}
+
+    def recall(self, state: Tensor, memory: dict[str, Tensor]) -> Tensor:
+        return self.initial(torch.zeros(*state.shape[:-1], self.spec.reset_dim).double())
+
+
+@dataclass(frozen=True)
 class Misnamed(Bicycle):
     """Shows a component that it has not."""
 
@@ -240,6 +251,7 @@ class Goalless(Bicycle):
         (Stingy, "total_reward"),
         (Wavering, "of torch.float32, expected"),
         (Lossy, "of torch.int64, expected"),
+        (Amnesiac, "recall: other digits, 0 steps after"),
         (Misnamed, "headline"),
         (Short, "observation of shape"),
         (MovingGoal, "the goal has moved"),
