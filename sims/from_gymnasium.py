@@ -66,7 +66,8 @@ class GymnasiumSim:
     returned last; ``initial`` starts everything anew.  A row that has ended stays as it is until
     it is restarted.  ``recall`` resets new copies with the seeds of the episodes and repeats their
     actions: where that leads elsewhere, the environment does not repeat itself under its seed, and
-    the episode is lost.
+    the episode is lost.  What an environment keeps from one episode to the next without showing it
+    may go unnoticed: after some episodes, BipedalWalker-v3 goes on with other digits.
 
     Arguments: ``env_id``: as for ``gymnasium.make``, with ``env_kwargs``; or ``env``: a factory
     without arguments, or an environment, which is copied by its spec where it has one.  ``dt``:
