@@ -48,9 +48,9 @@ class GymnasiumSim:
     """A Gymnasium environment, one copy of it for each row of the batch.
 
     ======== ==================================================================================
-    state    ``[*batch, k + 5]``: the environment's observation; terminated, truncated (0 or 1);
-             success (1 or 0 by ``info["is_success"]``, -1 where there is none); lost (0 or 1);
-             the return (sum of rewards) so far
+    state    ``[*batch, k + 5]``: the environment's observation; terminated, truncated, also by
+             ``time_limit`` (0 or 1); success (1 or 0 by ``info["is_success"]``, -1 where there is
+             none); lost (0 or 1); the return (sum of rewards) so far
     observed ``[*batch, n]``: the first k, or the view of them in which ``angles`` are angles
     action   ``[*batch, m]``, in the environment's own units
     start    the environment's, seeded by the one uniform number of a restart
@@ -130,6 +130,7 @@ class GymnasiumSim:
                 f" of {threshold:g} for a success does not apply; eval.success_return=... sets one"
             )
             threshold = None
+        self._most_steps = round(time_limit / dt)
         state = _named("state", observation, state_names)
         none = [q.name for q, none in zip(state, finite_but_none(observation), strict=True) if none]
         self._observed = [q.name for q in state]
@@ -356,7 +357,9 @@ class GymnasiumSim:
         row[:_TERMINATED] = self._checked(observation)
         row[_RETURN] += _finite_reward(reward)
         success = info.get("is_success")
-        row[_TERMINATED], row[_TRUNCATED] = float(terminated), float(truncated)
+        # Its learner may be done by then, and leave it in this state.
+        late = len(self._copies[k].actions) >= self._most_steps
+        row[_TERMINATED], row[_TRUNCATED] = float(terminated), float(truncated or late)
         if success is not None:
             row[_SUCCESS] = float(bool(success))
 

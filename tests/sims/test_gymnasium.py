@@ -12,11 +12,15 @@ import torch
 from gymnasium import spaces
 
 import sims.gymnasium_env
+from edtorch.run.episodes import Budget
+from edtorch.run.scaled_sim import World
+from edtorch.run.training import Training
 from sims.base import Outcome
 from sims.bicycle import Bicycle
 from sims.from_gymnasium import GymnasiumSim
 from sims.gymnasium_env import BicycleEnv, SimEnv
 from tests.api_envs import Cart
+from tests.systems import bicycle_learner
 
 
 def unclipped_reward(before: np.ndarray, action: np.ndarray, after: np.ndarray) -> float:
@@ -187,6 +191,18 @@ def test_a_declared_termination_decides_what_lasting_means(
     termination: Literal["failure", "success"] | None, survival: bool | None
 ) -> None:
     assert GymnasiumSim(env=Cart, dt=0.1, termination=termination).spec.survival is survival
+
+
+def test_an_environment_rests_once_its_learner_is_done() -> None:
+    """Also where its episode was ended by a time limit that it does not know."""
+    world = World(GymnasiumSim(env=Cart, dt=0.1, time_limit=3.0))
+    learner = bicycle_learner(world, horizon=5)
+    training = Training(learner, world, [0, 1, 2, 3], Budget(seconds=60.0, episodes=3))
+    while not training.done:
+        training.advance(1)
+    lengths = [[e.seconds for e in training.episodes if e.row == row] for row in range(4)]
+    assert [len(own) for own in lengths] == [3] * 4 and len({sum(own) for own in lengths}) > 1
+    assert max(max(own) for own in lengths) == 3.0
 
 
 class Boxes(Cart):
