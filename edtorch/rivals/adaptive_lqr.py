@@ -10,8 +10,9 @@ ticks', which there is for every model.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -27,6 +28,7 @@ from edtorch.run.random import learning_streams
 from edtorch.run.rollout import Happened, rollout
 from edtorch.run.scaled_sim import World
 from edtorch.run.tick import Tick
+from edtorch.run.trees import tensors_of, with_tensors
 from edtorch.types import Parameters, Transition, replace, select
 from edtorch.value.linear.lqr import doubled_lqr
 from sims.base import Outcome
@@ -148,6 +150,24 @@ class AdaptiveLqrSearch(LinearSearch):
     def done(self) -> list[bool]:
         """Never: it can always go on."""
         return [False for _ in self.accounts]
+
+    def state(self) -> dict[str, Any]:
+        """See ``Resumable``."""
+        return {
+            **super().state(),
+            "clock": self._clock,
+            "lived": list(self._lived),
+            "population": tensors_of(self._here),
+            "world": self._tick.world.memory(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See ``Resumable``."""
+        super().restore(state)
+        self._clock, self._lived = state["clock"], list(state["lived"])
+        here = with_tensors(self._here, state["population"])
+        world = self._tick.world.recall(here.worlds.world, state["world"])
+        self._here = replace(here, worlds=replace(here.worlds, world=world))
 
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
         """Some seconds."""

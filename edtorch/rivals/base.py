@@ -7,9 +7,9 @@ in fresh episodes, which cost no experience, and stops the seeds that have used 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor
 
@@ -69,14 +69,56 @@ class Search(Protocol):
         ...
 
 
-class LinearSearch:
-    """Common part of searches for a linear policy: accounts, and ``_weight`` ``[S, ...]``."""
+@runtime_checkable
+class Resumable(Protocol):
+    """A search that holds its state.
+
+    A new search of the same settings and problem does, once it has been given the state, what the
+    first one would have done from there, digit by digit.
+    """
+
+    def state(self) -> dict[str, Any]:
+        """Everything that its future depends on, between two calls of ``advance``, as
+        ``edtorch.run.state_file`` takes it; the next call may change its tensors."""
+        ...
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from such a state."""
+        ...
+
+
+class AccountedSearch:
+    """Common part of searches that are ``Resumable``: the accounts."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.accounts = [Account() for _ in problem.seeds]
+
+    def state(self) -> dict[str, Any]:
+        """See ``Resumable``; of the accounts."""
+        return {"accounts": [account.state() for account in self.accounts]}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See ``Resumable``; the accounts."""
+        self.accounts = [Account.of(own) for own in state["accounts"]]
+
+
+class LinearSearch(AccountedSearch):
+    """Common part of searches for a linear policy: ``_weight`` ``[S, ...]``."""
 
     _weight: Tensor
 
     def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
         self._policy = problem.policy
-        self.accounts = [Account() for _ in problem.seeds]
+
+    def state(self) -> dict[str, Any]:
+        """See ``Resumable``."""
+        return {**super().state(), "weight": self._weight}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See ``Resumable``."""
+        super().restore(state)
+        self._weight = state["weight"].clone()
 
     @property
     def actor(self) -> Actor:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from edtorch.rivals.base import Problem
+from edtorch.rivals.base import AccountedSearch, Problem
 from edtorch.rivals.batch import (
     BatchSettings,
     Transitions,
@@ -27,7 +27,6 @@ from edtorch.rivals.batch import (
     collect,
     rewards,
 )
-from edtorch.rivals.ledger import Account
 from edtorch.types import Parameters
 
 ROWS = 65_536
@@ -125,11 +124,14 @@ class Iteration:
     reward ``[N]``; actions ``[A, m]``: those that a policy chooses from; seed: of the trees.
     """
 
+    data: Transitions
+
     def __init__(
         self, settings: FittedQ, data: Transitions, reward: Tensor, actions: Tensor, seed: int
     ) -> None:
         self._settings = settings
         self._seed = seed
+        self.data = data
         self._reward = reward.to(torch.float64).numpy()
         self._here = torch.cat((data.state, data.action), -1).to(torch.float32).numpy()
         # What follows an end is worth nothing, and need not be predicted.
@@ -138,6 +140,7 @@ class Iteration:
         self._there = _pairs(data.next_state[lasting], actions)
         self._actions = len(actions)
         self._next_value = np.zeros(int(lasting.sum()))
+        self._made_of: list[tuple[int, np.ndarray]] = []
         self._places: tuple[np.ndarray, np.ndarray] | None = None
         self.count = 0
         self.forest: Forest | None = None
@@ -151,14 +154,27 @@ class Iteration:
 
     def advance(self) -> None:
         """The next Q."""
-        building = self._settings.rebuilt
+        building, before = self._settings.rebuilt, (self.count, self._next_value)
         self.count += 1
         if self.forest is None or building is None or self.count <= building:
             self.forest, self._places = self._built(), None
+            self._made_of = [before]
             values = self.forest.predict(self._there)
         else:
             self.forest, values = self._renewed(self.forest)
+            self._made_of = [self._made_of[0], before]
         self._next_value = values.reshape(-1, self._actions).max(-1)
+
+    def state(self) -> list[dict[str, Any]]:
+        """What the last Q was made of, for ``restore``: where its trees were built and, if they
+        were, their leaves renewed.  The trees themselves are hundreds of times larger."""
+        return [{"count": count, "next_value": value} for count, value in self._made_of]
+
+    def restore(self, state: Sequence[Mapping[str, Any]]) -> None:
+        """Make the last Q again, which takes as long as one or two calls of ``advance``."""
+        for before in state:
+            self.count, self._next_value = before["count"], before["next_value"]
+            self.advance()
 
     def _built(self) -> Forest:
         drawn = np.random.SeedSequence([self._seed, self.count]).generate_state(1)
@@ -213,10 +229,11 @@ class GreedyForest:
         return self._actions[chosen]
 
 
-class FittedQSearch:
+class FittedQSearch(AccountedSearch):
     """One record and one Q per seed."""
 
     def __init__(self, settings: FittedQ, problem: Problem) -> None:
+        super().__init__(problem)
         check_rewards(settings, problem.world.spec)
         self._settings = settings
         self._world = problem.world
@@ -225,7 +242,6 @@ class FittedQSearch:
         self._forests: list[Forest | None] = [None for _ in self._seeds]
         self._iterations: list[Iteration | None] = [None for _ in self._seeds]
         self.actor = GreedyForest(self._actions, self._forests)
-        self.accounts = [Account() for _ in self._seeds]
 
     @property
     def parameters(self) -> Parameters:
@@ -260,6 +276,23 @@ class FittedQSearch:
             own is not None and own.count >= self._settings.iterations for own in self._iterations
         ]
 
+    def state(self) -> dict[str, Any]:
+        """See ``Resumable``."""
+        own = [
+            None if one is None else {"data": dict(vars(one.data)), "made_of": one.state()}
+            for one in self._iterations
+        ]
+        return {**super().state(), "iterations": own}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See ``Resumable``; takes as long as one iteration or two."""
+        super().restore(state)
+        for row, own in enumerate(state["iterations"]):
+            if own is not None:
+                iteration = self._on(row, Transitions(**own["data"]))
+                iteration.restore(own["made_of"])
+                self._iterations[row], self._forests[row] = iteration, iteration.forest
+
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
         """The record first, then some iterations of Q."""
         for row in (row for row, on in enumerate(going) if on):
@@ -281,5 +314,9 @@ class FittedQSearch:
             account=self.accounts[row],
             pause=pause,
         )
+        return self._on(row, data)
+
+    def _on(self, row: int, data: Transitions) -> Iteration:
+        """Q_0 of a seed with this record."""
         reward = rewards(self._settings, self._world.spec, data)
         return Iteration(self._settings, data, reward, self._actions, self._seeds[row])

@@ -5,7 +5,9 @@ A rival may need hundreds of thousands of episodes; they are counted here and no
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from torch import Tensor
 
@@ -40,6 +42,17 @@ class Account:
     successes: int = 0
     first: tuple[int, float] | None = None
     goal: FirstGoal | None = None
+
+    def state(self) -> dict[str, Any]:
+        """All of it, for ``of``."""
+        return {**asdict(self), "first": None if self.first is None else list(self.first)}
+
+    @staticmethod
+    def of(state: Mapping[str, Any]) -> Account:
+        """The account of this ``state``."""
+        first, goal = state["first"], state["goal"]
+        own = {"first": first and tuple(first), "goal": goal and FirstGoal(**goal)}
+        return Account(**{**state, **own})
 
     def spend(self, seconds: float) -> None:
         """So many simulated seconds more, of whatever episode."""

@@ -9,8 +9,9 @@ that angles wrap.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -56,6 +57,15 @@ class LqrSearch(LinearSearch):
     def done(self) -> list[bool]:
         """Whether its policy has been asked for."""
         return list(self._done)
+
+    def state(self) -> dict[str, Any]:
+        """See ``Resumable``."""
+        return {**super().state(), "done": list(self._done)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See ``Resumable``."""
+        super().restore(state)
+        self._done = list(state["done"])
 
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
         """Nothing is left to do."""

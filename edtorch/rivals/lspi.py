@@ -7,15 +7,16 @@ greedy for it is the next one, on the same transitions, until it stays the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from edtorch.linalg import matvec
 from edtorch.model.features import FeatureMap
-from edtorch.rivals.base import Problem
+from edtorch.rivals.base import AccountedSearch, Problem
 from edtorch.rivals.batch import (
     BatchSettings,
     Transitions,
@@ -27,7 +28,6 @@ from edtorch.rivals.batch import (
     concatenated,
     rewards,
 )
-from edtorch.rivals.ledger import Account
 from edtorch.types import Parameters
 from sims.base import Spec
 
@@ -182,10 +182,11 @@ def _blocks(features: Tensor, choice: Tensor, actions: int) -> Tensor:
     return spread.flatten(1)
 
 
-class LspiSearch:
+class LspiSearch(AccountedSearch):
     """One record and one policy per seed."""
 
     def __init__(self, settings: Lspi, problem: Problem) -> None:
+        super().__init__(problem)
         world = problem.world
         check_rewards(settings, world.spec)
         self._settings = settings
@@ -194,10 +195,9 @@ class LspiSearch:
         actions = action_set(settings, world)
         basis = monomials(settings.basis, world.spec, world.period)
         self.actor = GreedyLinear(basis, actions)
-        self.accounts = [Account() for _ in self._seeds]
         self.solutions: list[Solution | None] = [None for _ in self._seeds]
         self._stage = [0 for _ in self._seeds]
-        self._data: list[list[Transitions]] = [[] for _ in self._seeds]
+        self._data: list[Transitions | None] = [None for _ in self._seeds]
         self._weight = actions.new_zeros(len(self._seeds), len(actions), basis.outputs)
 
     @property
@@ -210,14 +210,35 @@ class LspiSearch:
         """See ``Search``."""
         return [stage == len(self._settings.episodes) for stage in self._stage]
 
+    def state(self) -> dict[str, Any]:
+        """See ``Resumable``."""
+        return {
+            **super().state(),
+            "stage": list(self._stage),
+            "data": [None if own is None else dict(vars(own)) for own in self._data],
+            "solutions": [None if own is None else dict(vars(own)) for own in self.solutions],
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See ``Resumable``."""
+        super().restore(state)
+        self._stage = list(state["stage"])
+        self._data = [None if own is None else Transitions(**own) for own in state["data"]]
+        self.solutions = [None if own is None else Solution(**own) for own in state["solutions"]]
+        for row, solution in enumerate(self.solutions):
+            if solution is not None:
+                self._weight[row] = solution.weight
+
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
         """As many episodes more as the next policy is to have, and that policy."""
         for row in (row for row, on in enumerate(going) if on):
-            self._collect(row, pause)
-            self._solve(row, pause)
+            data = self._collected(row, pause)
+            self._solve(row, data, pause)
+            self._data[row] = data
             self._stage[row] += 1
 
-    def _collect(self, row: int, pause: Callable[[], None]) -> None:
+    def _collected(self, row: int, pause: Callable[[], None]) -> Transitions:
+        """The record of a seed, as many episodes longer as the stage has."""
         stages = [0, *self._settings.episodes]
         stage = self._stage[row]
         fresh = collect(
@@ -229,10 +250,10 @@ class LspiSearch:
             account=self.accounts[row],
             pause=pause,
         )
-        self._data[row].append(fresh)
+        before = self._data[row]
+        return fresh if before is None else concatenated([before, fresh])
 
-    def _solve(self, row: int, pause: Callable[[], None]) -> None:
-        data = concatenated(self._data[row])
+    def _solve(self, row: int, data: Transitions, pause: Callable[[], None]) -> None:
         actions = self.actor.actions
         solution = policy_iteration(
             self.actor.basis,

@@ -20,8 +20,9 @@ of the policy that the configuration names, starting at zero, and the reward is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -102,6 +103,17 @@ class PegasusSearch(LinearSearch):
     def done(self) -> list[bool]:
         """Whether all gradients have been made."""
         return [made >= self._settings.gradients for made in self._made]
+
+    def state(self) -> dict[str, Any]:
+        """See ``Resumable``; the scenarios are a function of the seeds."""
+        own = {"value": self._value, "difference": self._difference, "made": self._made}
+        return {**super().state(), **{name: list(values) for name, values in own.items()}}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See ``Resumable``."""
+        super().restore(state)
+        self._value, self._difference = list(state["value"]), list(state["difference"])
+        self._made = list(state["made"])
 
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
         """A gradient, and the best of some steps along it, if any is better than none."""

@@ -21,8 +21,9 @@ log(1 / gamma).  An episode that is cut off earns nothing more, like one at the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -30,7 +31,6 @@ from torch import Tensor
 from edtorch.model.features import FeatureMap
 from edtorch.rivals.base import LinearSearch, Problem
 from edtorch.rivals.episodes import Ended, EpisodeTick
-from edtorch.rivals.ledger import Account
 from edtorch.rivals.returns import SparseReward
 from edtorch.rivals.runs import Runs
 from edtorch.run.hashing import Use, hash_key
@@ -156,7 +156,6 @@ class ReinforceSearch(LinearSearch):
             len(self._seeds), 1 + len(world.spec.state), dtype=torch.float64
         )
         self._made = [0 for _ in self._seeds]
-        self.accounts = [Account() for _ in self._seeds]
 
     @property
     def baseline(self) -> Tensor:
@@ -167,6 +166,15 @@ class ReinforceSearch(LinearSearch):
     def done(self) -> list[bool]:
         """Never: it can always go on."""
         return [False for _ in self._seeds]
+
+    def state(self) -> dict[str, Any]:
+        """See ``Resumable``; the noise is a function of the seeds and the numbers of batches."""
+        return {**super().state(), "baseline": self._baseline, "made": list(self._made)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See ``Resumable``."""
+        super().restore(state)
+        self._baseline, self._made = state["baseline"].clone(), list(state["made"])
 
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
         """Some steps, each after a batch of episodes."""

@@ -31,15 +31,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from edtorch.native.choice import kernel_for
 from edtorch.rewards import QuadraticReward
-from edtorch.rivals.base import Problem
-from edtorch.rivals.ledger import Account
+from edtorch.rivals.base import AccountedSearch, Problem
 from edtorch.rivals.native_sarsa import BoxTable, SarsaKernel
 from edtorch.run.hashing import Use, hash_key, uniform
 from edtorch.run.scaled_sim import World
@@ -411,12 +411,12 @@ def compiled_loop(tick: _Tick) -> LearningLoop:
     return advance
 
 
-class SarsaSearch:
+class SarsaSearch(AccountedSearch):
     """One table of values per seed, begun and under way."""
 
     def __init__(self, settings: Sarsa, problem: Problem) -> None:
+        super().__init__(problem)
         world, seeds = problem.world, problem.seeds
-        self.accounts = [Account() for _ in seeds]
         self._settings = settings
         self._dt = world.dt
         lasts = world.rule.survival is not False
@@ -448,6 +448,30 @@ class SarsaSearch:
     def done(self) -> list[bool]:
         """It never is."""
         return [False] * len(self.accounts)
+
+    def state(self) -> dict[str, Any]:
+        """See ``Resumable``."""
+        memory = self._memory
+        return {
+            **super().state(),
+            "clock": self._clock,
+            "began": list(self._began),
+            "memory": {"table": memory.table, "visited": memory.visited, "trace": memory.trace},
+            "moment": dict(vars(self._moment)),
+            "world": self._tick.world.memory(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See ``Resumable``."""
+        super().restore(state)
+        self._clock, self._began = state["clock"], list(state["began"])
+        memory, moment = (
+            {name: part.clone() for name, part in state[kind].items()}
+            for kind in ("memory", "moment")
+        )
+        world = self._tick.world.recall(moment["state"].movedim(0, -1), state["world"])
+        moment["state"] = world.movedim(-1, 0).contiguous()
+        self._memory, self._moment = replace(self._memory, **memory), _Moment(**moment)
 
     def advance(self, going: Sequence[bool], pause: Callable[[], None]) -> None:
         """``every`` simulated seconds; a seed that is not going learns no more."""
