@@ -96,7 +96,7 @@ def whole_search(setup: SearchSetup, settings: RandomSearch) -> dict[str, dict[s
         seed=setup.seed,
         processes=1,
         native="on",
-        report=lambda progress: None,
+        report=lambda *told: None,
     )
     search_serially(weights[:1], keys[:1])
     serial_s, (outcome, ticks) = cpu_s(lambda: search_serially(weights, keys))

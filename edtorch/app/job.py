@@ -9,7 +9,7 @@ import contextlib
 import logging
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,6 +88,20 @@ class Work(ABC):
     def evaluate(self, job: Job) -> None:
         """Evaluate the policies at the end, unless that has just been done."""
         return
+
+    def state(self) -> dict[str, Any] | None:
+        """Everything that the rest of the work depends on, for ``edtorch.run.state_file``.
+
+        None: the method does not hold its state, and a run of it can only begin anew.
+        """
+        return None
+
+    def restore(self, state: Mapping[str, Any], folder: Path) -> None:
+        """Go on from a state of work with the same settings, of the run in ``folder``.
+
+        Raises ValueError where the state does not fit.
+        """
+        raise NotImplementedError
 
     def save(self, folder: Path, *, ended: bool) -> None:
         """Write files of its own, beside the policies; ended: nothing more will be learned."""

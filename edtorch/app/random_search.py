@@ -6,7 +6,8 @@ import csv
 import math
 import os
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,11 @@ from edtorch.report.milestones import milestone_figures
 from edtorch.report.proportions import Proportion
 from edtorch.report.text import number
 from edtorch.rivals.random_search import (
+    SECONDS_BETWEEN_REPORTS,
     Progress,
     RandomSearch,
     SearchResult,
+    ShardStates,
     policy_weights,
     search,
 )
@@ -167,7 +170,8 @@ class RandomPolicies(Work):
                 Runs(setup.world, setup.policy, native="on")
         self._setup = setup
         self._result: SearchResult | None = None
-        self._steps = 0
+        self._steps, self._wall_s = 0, 0.0
+        self._states: ShardStates | None = None
         self.title = f"{setup.world.spec.name}, {setup.settings.policies} random policies"
         self.seeds, self.actor = [setup.seed], setup.policy
         self.columns = ("wall_s", *self.COUNTS)
@@ -192,13 +196,35 @@ class RandomPolicies(Work):
         weights = policy_weights(setup.settings, setup.policy, setup.seed, numbers)
         return {"weight": weights.to(setup.world.dtype)}
 
-    def run(self, job: Job) -> None:
-        """All policies; a report a few times a second."""
-        setup, began = self._setup, time.monotonic()
+    def state(self) -> dict[str, Any] | None:
+        """See ``Work``; whole at any time, but of the last whole rounds."""
+        return {
+            "shards": None if self._states is None else list(self._states),
+            "processes": self._setup.processes,
+            "steps": self._steps,
+            "wall_s": self._wall_s,
+        }
 
-        def report(progress: Progress) -> None:
-            self._steps = progress.steps
-            job.take(self._entry(progress, time.monotonic() - began))
+    def restore(self, state: Mapping[str, Any], folder: Path) -> None:
+        """See ``Work``; in as many processes as before, whatever the machine has now."""
+        self._states = state["shards"]
+        self._setup = replace(self._setup, processes=state["processes"])
+        self._steps, self._wall_s = state["steps"], state["wall_s"]
+
+    def run(self, job: Job) -> None:
+        """All policies; an entry twice a second, unless a round is only made again."""
+        setup, told = self._setup, time.monotonic()
+        began = told - self._wall_s
+
+        def report(progress: Progress, states: ShardStates) -> None:
+            nonlocal told
+            now = time.monotonic()
+            self._states, self._wall_s = states, now - began
+            due = progress.decided == setup.settings.policies
+            due |= now - told > SECONDS_BETWEEN_REPORTS
+            if due and progress.steps > self._steps:
+                self._steps, told = progress.steps, now
+                job.take(self._entry(progress))
             job.pause()
 
         self._result = found = search(
@@ -209,11 +235,13 @@ class RandomPolicies(Work):
             processes=setup.processes,
             native=setup.native,
             report=report,
+            states=self._states,
         )
         numbers = found.policy[found.goal].tolist()
         self.card = policy_card(setup.world.sim, setup.policy, numbers)
 
-    def _entry(self, progress: Progress, wall: float) -> Entry:
+    def _entry(self, progress: Progress) -> Entry:
+        wall = self._wall_s
         counts = {name: getattr(progress, name) for name in self.COUNTS}
         return Entry(
             rows=[(f"{wall:.3f}", *counts.values())],

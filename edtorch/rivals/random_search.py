@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -157,9 +159,26 @@ def episode_key(seed: int, ids: Tensor, run: Tensor) -> Tensor:
     return hash_key(Use.EPISODE, seed, ids, run)
 
 
+ShardState = Mapping[str, Any]
+"""Of a ``Shard`` after a whole round (``_Found``), as ``edtorch.run.state_file`` takes it."""
+ShardStates = Sequence[ShardState | None]
+"""Of all shards, None for one that has not ended a round."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a shard has done; state: None unless a round has ended since the last report."""
+
+    progress: Progress
+    state: ShardState | None
+
+
 @dataclass(frozen=True)
 class Shard:
-    """The part of a search that one process does: policies number first, first + every, ..."""
+    """The part of a search that one process does: policies number first, first + every, ...
+
+    state: to go on from, None to begin.
+    """
 
     settings: RandomSearch
     world: World
@@ -168,37 +187,44 @@ class Shard:
     native: Mode
     first: int
     every: int
+    state: ShardState | None = None
 
-    def __call__(self, report: Callable[[Progress], None]) -> SearchResult:
-        """Run it; ``report`` is called about twice a second."""
+    def __call__(self, report: Callable[[Report], None]) -> SearchResult:
+        """Run it; ``report`` is called about twice a second, and after each round."""
         began = time.process_time()
         slots, look = self.settings.slots, self.settings.look
         runs = Runs(self.world, self.policy, native=self.native, slots=slots, look=look)
         compile_s = time.process_time() - began
         ids = torch.arange(self.first, self.settings.policies, self.every)
         found = _Found(ids, self.settings.runs)
-        reported = time.monotonic()
-        for number in found.rounds():
+        before = {"steps_done": 0, "cpu_s": 0.0, "compile_s": 0.0}
+        if self.state is not None:
+            found.restore(self.state["found"])
+            before = self.state["spent"]
+
+        def spent() -> dict[str, Any]:
+            cpu_s = time.process_time() - began
+            own = {"steps_done": runs.steps, "cpu_s": cpu_s, "compile_s": compile_s}
+            return {name: before[name] + value for name, value in own.items()}
+
+        def tell(state: ShardState | None = None) -> None:
+            report(Report(found.progress(before["steps_done"] + runs.steps), state))
+
+        tell()
+        told = time.monotonic()
+        while len(number := found.round()):
             place, run = number.unbind(-1)
             weight = policy_weights(self.settings, self.policy, self.seed, ids[place])
             for ended in runs.pieces(weight, episode_key(self.seed, ids[place], run)):
                 found.enter(number[ended.number], ended)
-                if time.monotonic() - reported > SECONDS_BETWEEN_REPORTS:
-                    reported = time.monotonic()
-                    report(found.progress(runs.steps))
-        report(found.progress(runs.steps))
-        result = SearchResult(
-            policy=ids,
-            outcome=found.outcome,
-            ticks=found.ticks,
-            measures={},
-            steps_done=runs.steps,
-            cpu_s=0.0,
-            compile_s=compile_s,
-        )
+                if time.monotonic() - told > SECONDS_BETWEEN_REPORTS:
+                    told = time.monotonic()
+                    tell()
+            found.end_round()
+            tell({"found": found.state(), "spent": spent()})
+        result = SearchResult(ids, found.outcome, found.ticks, {}, **spent())
         measures = self._measures(result, *found.finals(result.goal))
-        cpu_s = time.process_time() - began
-        return dataclasses.replace(result, measures=measures, cpu_s=cpu_s)
+        return dataclasses.replace(result, measures=measures, **spent())
 
     def _measures(
         self, result: SearchResult, place: Tensor, run: Tensor, final: Tensor
@@ -218,31 +244,54 @@ class Shard:
 
 
 class _Found:
-    """What is known of P policies, by place: outcome and ticks ``[P, R]`` of their runs."""
+    """What is known of P policies, by place: outcome and ticks ``[P, R]`` of their runs.
+
+    Runs come in rounds: the first runs, then as many runs more as there have been, of policies that
+    have not failed: most fail in their first.
+    """
 
     def __init__(self, policies: Tensor, runs: int) -> None:
         self.outcome = torch.zeros(len(policies), runs, dtype=torch.int8)
         self.ticks = torch.zeros(len(policies), runs, dtype=torch.int32)
         self._arrived: list[tuple[Tensor, Tensor]] = []
+        self._count = 0
 
-    def rounds(self) -> Iterator[Tensor]:
-        """(place, run) ``[E, 2]`` of the episodes that are next, when all before have been entered.
+    def state(self) -> dict[str, Any]:
+        """All of it, between two rounds; a copy, since the next round begins before it is saved."""
+        number, final = self._all_arrived()
+        return {
+            "outcome": self.outcome.clone(),
+            "ticks": self.ticks.clone(),
+            "arrived": number,
+            "final": final,
+            "count": self._count,
+        }
 
-        The first runs, then as many runs more as there have been, of policies that have not failed:
-        most fail in their first.  A run after one that failed in the same round is forgotten, so
-        that what is known is that of one run after the other.
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from such a state."""
+        self.outcome, self.ticks = state["outcome"].clone(), state["ticks"].clone()
+        self._arrived, self._count = [(state["arrived"], state["final"])], state["count"]
+
+    def _several(self) -> Tensor:
+        """The runs of the next round."""
+        return torch.arange(self._count, min(self.outcome.shape[1], max(1, 2 * self._count)))
+
+    def round(self) -> Tensor:
+        """(place, run) ``[E, 2]`` of the episodes that are next; none when all is known."""
+        going = (~(self.outcome == int(Outcome.FAILED)).any(-1)).nonzero().flatten()
+        return torch.cartesian_prod(going, self._several()).reshape(-1, 2)
+
+    def end_round(self) -> None:
+        """All episodes of the round have been entered.
+
+        A run after one that failed in the same round is forgotten, so that what is known is that of
+        one run after the other.
         """
-        count, runs = 0, self.outcome.shape[1]
-        going = torch.arange(len(self.outcome))
-        while count < runs and len(going):
-            several = torch.arange(count, min(runs, max(1, 2 * count)))
-            yield torch.cartesian_prod(going, several).reshape(-1, 2)
-            count += len(several)
-            failed = self.outcome == int(Outcome.FAILED)
-            needless = failed.cumsum(-1) - failed.long() > 0
-            self.outcome[needless] = int(Outcome.RUNNING)
-            self.ticks[needless] = 0
-            going = (~failed.any(-1)).nonzero().flatten()
+        self._count += len(self._several())
+        failed = self.outcome == int(Outcome.FAILED)
+        needless = failed.cumsum(-1) - failed.long() > 0
+        self.outcome[needless] = int(Outcome.RUNNING)
+        self.ticks[needless] = 0
 
     def enter(self, number: Tensor, ended: Ended) -> None:
         """Episodes that are over, with their (place, run) ``[F, 2]``."""
@@ -263,10 +312,16 @@ class _Found:
     def finals(self, wanted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Place, run ``[F]`` and final state ``[F, k]`` of the runs to the goal of the policies
         ``wanted`` ``[P]``, in order."""
-        number, state = (torch.cat(parts) for parts in zip(*self._arrived, strict=True))
+        number, state = self._all_arrived()
         order = (number[:, 0] * self.outcome.shape[1] + number[:, 1]).argsort()
         order = order[wanted[number[order, 0]]]
         return number[order, 0], number[order, 1], state[order]
+
+    def _all_arrived(self) -> tuple[Tensor, Tensor]:
+        """(place, run) ``[F, 2]`` of all runs to the goal, and their final states ``[F, k]``."""
+        number, final = (torch.cat(parts) for parts in zip(*self._arrived, strict=True))
+        self._arrived = [(number, final)]
+        return number, final
 
 
 def search(
@@ -277,25 +332,31 @@ def search(
     seed: int,
     processes: int,
     native: Mode,
-    report: Callable[[Progress], None],
+    report: Callable[[Progress, ShardStates], None],
+    states: ShardStates | None = None,
 ) -> SearchResult:
     """Run every policy; the same result for any number of processes.
 
-    ``report`` is called a few times a second; what it raises ends the search.
+    ``report`` is called a few times a second, with the states that a search by as many processes
+    can go on from (``states``); what it raises ends the search.
     """
-    shares = [
-        Shard(settings, world, policy, seed, native, first, processes)
-        for first in range(min(processes, settings.policies))
+    count = min(processes, settings.policies)
+    reached: list[ShardState | None] = [None] * count if states is None else list(states)
+    shards = [
+        Shard(settings, world, policy, seed, native, first, count, state)
+        for first, state in enumerate(reached)
     ]
-    if len(shares) == 1:
-        return shares[0](report)
-    latest = [Progress()] * len(shares)
+    latest = [Progress()] * count
 
-    def report_sum(which: int, progress: Progress) -> None:
-        latest[which] = progress
-        report(sum(latest, Progress()))
+    def take(which: int, told: Report) -> None:
+        latest[which] = told.progress
+        if told.state is not None:
+            reached[which] = told.state
+        report(sum(latest, Progress()), list(reached))
 
-    return combined(in_processes(shares, report_sum))
+    if count == 1:
+        return shards[0](partial(take, 0))
+    return combined(in_processes(shards, take))
 
 
 def combined(parts: list[SearchResult]) -> SearchResult:

@@ -127,7 +127,7 @@ def test_experiment_of_a_random_search(name: str) -> None:
         seed=setup.seed,
         processes=1,
         native="off",
-        report=lambda progress: None,
+        report=lambda *told: None,
     )
     assert len(found.policy) == 5 <= found.episodes
 

@@ -18,7 +18,11 @@ from edtorch.report.proportions import Proportion, same_rate
 from edtorch.rivals.random_search import (
     Progress,
     RandomSearch,
+    Report,
     SearchResult,
+    Shard,
+    ShardStates,
+    combined,
     episode_key,
     policy_weights,
     search,
@@ -28,6 +32,7 @@ from edtorch.run.scaled_sim import World
 from sims.base import Outcome
 from sims.bicycle import Bicycle, Physics
 from sims.linear import LinearSystem
+from tests.states import read_back
 
 BICYCLE = domain_of(Bicycle().spec)
 FEW = RandomSearch(policies=24, runs=4, slots=16, look=5)
@@ -53,8 +58,14 @@ def _short_ride() -> World:
 
 
 def _search(settings: RandomSearch, world: World, **more: Any) -> SearchResult:
-    options: dict[str, Any] = {"seed": 5, "processes": 1, "native": "off"} | more
-    return search(settings, world, _policy(world), report=lambda progress: None, **options)
+    options: dict[str, Any] = {
+        "seed": 5,
+        "processes": 1,
+        "native": "off",
+        "report": lambda *told: None,
+        **more,
+    }
+    return search(settings, world, _policy(world), **options)
 
 
 def _plainly(world: World, weight: Tensor, key: Tensor) -> tuple[int, int, Tensor]:
@@ -177,9 +188,7 @@ def test_weights_are_uniform() -> None:
 def test_progress_ends_with_the_result() -> None:
     world = _short_ride()
     reports: list[Progress] = []
-    found = search(
-        FEW, world, _policy(world), seed=5, processes=1, native="off", report=reports.append
-    )
+    found = _search(FEW, world, report=lambda progress, states: reports.append(progress))
     last = reports[-1]
     assert (last.decided, last.goal, last.stable, last.steps) == (
         FEW.policies,
@@ -192,11 +201,54 @@ def test_progress_ends_with_the_result() -> None:
 def test_a_report_that_raises_ends_the_search() -> None:
     world = _short_ride()
 
-    def stop(progress: Progress) -> None:
+    def stop(progress: Progress, states: ShardStates) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        search(FEW, world, _policy(world), seed=5, processes=1, native="off", report=stop)
+        _search(FEW, world, report=stop)
+
+
+def _assert_the_same(found: SearchResult, wanted: SearchResult) -> None:
+    for name in ("policy", "outcome", "ticks"):
+        assert getattr(found, name).equal(getattr(wanted, name)), name
+    assert found.steps_done == wanted.steps_done
+    for name, values in wanted.measures.items():
+        assert values.allclose(found.measures[name], rtol=0, atol=0, equal_nan=True), name
+
+
+def test_it_goes_on_from_every_round_as_if_nothing_had_been() -> None:
+    """The states of three rounds, and of the end; the steps that were not needed included."""
+    world = _short_ride()
+    told: list[tuple[Progress, Any]] = []
+    wanted = _search(
+        FEW, world, report=lambda progress, states: told.append((progress, read_back(list(states))))
+    )
+    rounds = {
+        own["count"]: states for _, states in told if states[0] for own in [states[0]["found"]]
+    }
+    assert list(rounds) == [1, 2, 4]
+    for states in rounds.values():
+        latest: list[Progress] = []
+        more = {
+            "states": states,
+            "report": lambda progress, _, latest=latest: latest.append(progress),
+        }
+        found = _search(FEW, world, **more)
+        _assert_the_same(found, wanted)
+        assert latest[-1] == told[-1][0]
+        assert found.cpu_s > states[0]["spent"]["cpu_s"]
+
+
+@pytest.mark.experiment
+def test_processes_go_on_too() -> None:
+    """One that has ended two rounds, and one that has ended none."""
+    world = _short_ride()
+    shards = [Shard(FEW, world, _policy(world), 5, "off", first, 2) for first in range(2)]
+    told: list[Report] = []
+    wanted = combined([shard(told.append) for shard in shards])
+    second = [report.state for report in told if report.state is not None][1]
+    found = _search(FEW, world, processes=2, states=[read_back(second), None])
+    _assert_the_same(found, wanted)
 
 
 @pytest.mark.parametrize(
