@@ -8,8 +8,9 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, cast
 
 import torch
@@ -32,7 +33,7 @@ from edtorch.app.trials import Paid, Trials
 from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import checkpoint_figures, milestone_figures
 from edtorch.report.statistics import Spread, aliases
-from edtorch.rivals.base import Problem, Rival, Search, Storing
+from edtorch.rivals.base import Problem, Resumable, Rival, Search, Storing
 from edtorch.rivals.ledger import FirstGoal
 from edtorch.rivals.runs import Runs, can_try, evaluator, fresh_episodes
 from edtorch.run.checkpoint import PolicyCard
@@ -190,6 +191,7 @@ class Rivals(Work):
         # When a rival begins it may have computed already.
         begun_s = time.process_time() - began
         self._cpu_s = [begun_s / len(setup.seeds)] * len(setup.seeds)
+        self._pieces = 0
         self._domain = described(setup.calm())
         self._fresh = _Fresh(setup, self._search)
         self._trials = Trials(len(setup.seeds), setup.episodes, self._fresh, self._domain.measures)
@@ -225,11 +227,28 @@ class Rivals(Work):
         search = self._search
         return search.stored() if isinstance(search, Storing) else search.parameters
 
+    def state(self) -> dict[str, Any] | None:
+        """See ``Work``; whole between two pieces.  None for a search that is not ``Resumable``."""
+        if not isinstance(self._search, Resumable):
+            return None
+        return {
+            "search": self._search.state(),
+            "trials": self._trials.state(),
+            "cpu_s": list(self._cpu_s),
+            "pieces": self._pieces,
+        }
+
+    def restore(self, state: Mapping[str, Any], folder: Path) -> None:
+        """See ``Work``."""
+        assert isinstance(self._search, Resumable)
+        self._search.restore(state["search"])
+        self._trials.restore(state["trials"])
+        self._cpu_s, self._pieces = list(state["cpu_s"]), state["pieces"]
+
     def run(self, job: Job) -> None:
         """Piece by piece to the end of every budget, each followed by a trial of the policies."""
         search, trials, setup = self._search, self._trials, self._setup
         self._fresh.pause = job.pause
-        count = 0
         while True:
             states = zip(search.done, search.accounts, trials.history, strict=True)
             going = [
@@ -245,10 +264,10 @@ class Rivals(Work):
             took = (time.process_time() - began) / len(rows)
             for row in rows:
                 self._cpu_s[row] += took
-            count += 1
+            self._pieces += 1
             with job.evaluation(), torch.inference_mode():
                 fresh = trials.run(rows, self._paid)
-            job.take(self._entry(fresh, count))
+            job.take(self._entry(fresh))
             job.pause()
 
     def _warn_of_excess(self) -> None:
@@ -265,8 +284,8 @@ class Rivals(Work):
         account = self._search.accounts[row]
         return Paid(account.seconds, account.episodes, account.failures, self._cpu_s[row])
 
-    def _entry(self, fresh: dict[int, Checkpoint], count: int) -> Entry:
-        """The checkpoints of the seeds that went on, the ``count``-th."""
+    def _entry(self, fresh: dict[int, Checkpoint]) -> Entry:
+        """The checkpoints of the seeds that went on, after the last piece."""
         words, accounts = self._domain.words, self._search.accounts
         seconds = median_known([c.seconds for c in fresh.values()])
         failures = median_known([float(c.failures) for c in fresh.values()])
@@ -288,7 +307,7 @@ class Rivals(Work):
         return Entry(
             rows=rows,
             scalars={f"rival/{name}": float(value) for name, value in figures.items()},
-            step=count,
+            step=self._pieces,
             line=f"{seconds:8.0f} s  {self._counts(fresh, failures, stable, goal)}",
         )
 

@@ -5,10 +5,11 @@ What both a learner's run and a rival's need to report what was paid before a mi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
-from edtorch.run.episodes import Episode
+from edtorch.run.episodes import Episode, episodes_of, episodes_state
 from edtorch.run.milestones import MILESTONES, Checkpoint, checkpoint
 from sims.base import Measure, Outcome
 
@@ -51,6 +52,18 @@ class Trials:
         self._fresh = fresh
         self.history: list[list[Checkpoint]] = [[] for _ in range(rows)]
         self.last: list[list[Episode]] = [[] for _ in range(rows)]
+
+    def state(self) -> dict[str, Any]:
+        """What there has been, as ``edtorch.run.state_file`` takes it."""
+        return {
+            "history": [[asdict(point) for point in own] for own in self.history],
+            "last": [episodes_state(own) for own in self.last],
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from such a state."""
+        self.history = [[Checkpoint(**point) for point in own] for own in state["history"]]
+        self.last = [episodes_of(own) for own in state["last"]]
 
     def _episodes(self, rows: Sequence[int], count: int) -> None:
         if rows:

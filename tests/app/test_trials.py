@@ -10,6 +10,7 @@ from edtorch.app.trials import SCREENING, Paid, Trials
 from edtorch.run.episodes import Episode
 from sims.base import Outcome
 from sims.bicycle.bicycle import PATH_LENGTH
+from tests.states import read_back
 
 FELL, RODE, ARRIVED = Outcome.FAILED, Outcome.TIMED_OUT, Outcome.SUCCEEDED
 
@@ -63,6 +64,27 @@ def test_who_rode_the_last_time_is_not_screened() -> None:
     # A milestone stays one, whatever comes after.
     assert [c.stable for c in trials.history[0]] == [True, False]
     assert trials.reached("stable") == [True, False]
+
+
+def _told(trials: Trials) -> str:
+    """In words, in which a return that there is not equals itself."""
+    return repr((trials.history, trials.last))
+
+
+def test_it_goes_on_from_its_state() -> None:
+    """Who is screened depends on the trial before; ``complete`` on what was screened only."""
+    outcomes = [RODE] * 4, [FELL] * 4
+    before, after = World(*outcomes), World(*outcomes)
+    trials, resumed = (Trials(2, 4, w.fresh, [PATH_LENGTH]) for w in (before, after))
+    trials.run([0, 1], paid)
+    resumed.restore(read_back(trials.state()))
+    assert _told(resumed) == _told(trials)
+    before.asked.clear()
+    for each in (trials, resumed):
+        each.run([0, 1], paid)
+        each.complete()
+    assert after.asked == before.asked == [([1], SCREENING), ([0], 4), ([1], 4)]
+    assert _told(resumed) == _told(trials)
 
 
 def test_few_episodes_are_all_run() -> None:
