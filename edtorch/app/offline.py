@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -213,6 +213,7 @@ class RecordedLearners(Learning):
         setup, self._offline = job.setup, job.offline
         self._steps, self._masked, self._doubts = job.steps, job.masked, job.doubts
         self._log_every: float = config.log.every
+        self._due = self._log_every
         self._cpu_s = 0.0
         title = f"{setup.world.spec.name}, {len(setup.seeds)} learners, from recorded transitions"
         super().__init__(setup, config, job.offline, described(setup.world), title)
@@ -225,14 +226,24 @@ class RecordedLearners(Learning):
             logger.warning("masked: %s", line)
         for line in self._doubts:
             logger.warning("%s", line)
-        due = self._log_every
         for _ in self._offline.learn(self._steps, _PIECE):
-            job.pause()
-            if self.seconds >= due:
-                due += self._log_every
+            if self.seconds >= self._due:
+                self._due += self._log_every
                 job.take(self._snapshots.entry(self._offline.snapshot(), []))
+            # Afterwards, so that nothing is due in a state of now.
+            job.pause()
         job.take(self._snapshots.entry(self._offline.snapshot(), self.episodes))
         self._warn()
+
+    def state(self) -> dict[str, Any]:
+        """What the rest of ``run`` depends on."""
+        return {"offline": self._offline.state(), "due": self._due}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from the state of a job of the same settings.  Raises ValueError where it does not
+        fit."""
+        self._offline.restore(state["offline"])
+        self._due = state["due"]
 
     def _warn(self) -> None:
         """Also of policies that have not arrived."""

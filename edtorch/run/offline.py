@@ -8,11 +8,12 @@ linear in the state is a local one, and a fall leaves the place where it is good
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from edtorch.run.episodes import Budget, Episode, Snapshot
 from edtorch.run.recorded import Recorded, first_rows
 from edtorch.run.scaled_sim import World
 from edtorch.run.tick import Tally
+from edtorch.run.trees import tensors_of, with_tensors
 from edtorch.types import Metrics, Parameters, Transition, replace, select
 from sims.base import Outcome
 
@@ -322,15 +324,59 @@ class Offline:
         return episodes[row], failures[row]
 
     def learn(self, steps: int, every: int) -> Iterator[None]:
-        """All transitions, then up to ``steps`` improvements; yields after each ``every`` of
-        either."""
+        """All transitions, then up to ``steps`` improvements, those already made included; yields
+        after each ``every`` of either."""
         while not self.all_seen:
             self.advance(every)
             yield
-        left = steps
-        while left > 0 and bool(self.moving.any()):
-            left -= self.climb(min(every, left))
+        # A policy that still moves has taken part in each of them.
+        while bool(self.moving.any()) and (left := steps - int(self.steps.max())) > 0:
+            self.climb(min(every, left))
             yield
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the future depends on, beside what it was built from."""
+        return {
+            "data": self._digest,
+            "tensors": tensors_of(self._tensors()),
+            "seen": self._seen.copy(),
+            "clock": self.clock,
+            "starts": [generator.bit_generator.state for generator in self._starts],
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what another one, built from the same, has reached.
+
+        Raises ValueError for the state of other learners or other data.
+        """
+        if state["data"] != self._digest:
+            raise ValueError(
+                "data: expected the transitions, in the order, that the state was reached with;"
+                " the files, the budget or the lessons are others"
+            )
+        tensors = with_tensors(self._tensors(), state["tensors"])
+        self.learners, self._tally = tensors["learners"], tensors["tally"]
+        self.moving, self.steps = tensors["moving"], tensors["steps"]
+        self._seen, self.clock = state["seen"].copy(), state["clock"]
+        for generator, there in zip(self._starts, state["starts"], strict=True):
+            generator.bit_generator.state = there
+
+    def _tensors(self) -> dict[str, Any]:
+        return {
+            "learners": self.learners,
+            "tally": self._tally,
+            "moving": self.moving,
+            "steps": self.steps,
+        }
+
+    @cached_property
+    def _digest(self) -> str:
+        """Of the transitions, and of the order in which each learner sees them."""
+        found = hashlib.blake2b(digest_size=16)
+        data = self._data
+        for array in (data.state, data.action, data.next_state, data.dt, *self._order):
+            found.update(np.ascontiguousarray(array))
+        return found.hexdigest()
 
     def _mode(self) -> torch.no_grad | torch.inference_mode:
         return torch.no_grad() if self.learner.needs_autograd else torch.inference_mode()

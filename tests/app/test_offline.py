@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import math
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,7 +17,18 @@ import torch
 from safetensors.torch import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from edtorch.app.compose import compose
+from edtorch.app.job import Job
+from edtorch.app.offline import RecordedLearners
+from edtorch.app.rundir import TRANSITIONS
+from edtorch.app.work import planned
+from edtorch.run.log import Entry
+from edtorch.run.scaled_sim import World
+from edtorch.run.transitions_file import save_transitions
 from edtorch.value.linear.lqr import finite_horizon_lqr
+from sims.bicycle import Bicycle
+from tests.recorded import lived
+from tests.systems import bicycle_learner
 
 Command = Callable[..., Any]
 
@@ -130,6 +142,50 @@ def test_fifteen_seconds_of_falls_teach_to_ride(recorded: Path, learned: Path) -
     assert all(math.isfinite(float(row["error"])) for row in _rows(learned / "metrics.csv")[:2])
     weight = load_file(learned / "policy.safetensors")["weight"]
     assert weight.shape == (2, 2, 5) and bool(weight.isfinite().all())
+
+
+class Reports:
+    """What a job is told, and the states in which it was asked whether to stop."""
+
+    def __init__(self, work: RecordedLearners) -> None:
+        self.work = work
+        self.entries: list[Entry] = []
+        self.states: list[tuple[int, dict[str, Any]]] = []
+
+    def take(self, entry: Entry) -> None:
+        self.entries.append(dataclasses.replace(entry, line=""))  # which tells the wall time
+
+    def pause(self) -> None:
+        self.states.append((len(self.entries), self.work.state()))
+
+
+@pytest.mark.experiment
+def test_it_goes_on_from_a_state_with_the_same_reports(tmp_path: Path) -> None:
+    """None is missing and none comes twice."""
+    world = World(Bicycle())
+    learner = dataclasses.replace(bicycle_learner(world), exploration=1.0)
+    save_transitions(tmp_path / TRANSITIONS, lived(world, learner, [1, 2], 5.0)[1], world.spec)
+    settings = (f"offline.data={tmp_path}", "offline.steps=150", "log.every=1")
+    config = compose([*LEARN, "seed=1", *settings, "train.seconds=null"])
+
+    def run(state: dict[str, Any] | None) -> Reports:
+        work = planned(config)[1]()
+        assert isinstance(work, RecordedLearners)
+        if state is not None:
+            work.restore(state)
+        reports = Reports(work)
+        work.run(cast(Job, reports))
+        return reports
+
+    whole = run(None)
+    assert len(whole.entries) == 4 and len(whole.states) > 6
+    reported = next(k for k, (told, _) in enumerate(whole.states) if told)
+    for k in (reported - 1, reported, -2, -1):
+        told, state = whole.states[k]
+        again = run(state)
+        assert repr(again.entries) == repr(whole.entries[told:])
+        for name, weight in whole.work.parameters.items():
+            assert torch.equal(again.work.parameters[name], weight)
 
 
 @pytest.mark.experiment

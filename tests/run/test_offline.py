@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import astuple
 from dataclasses import replace as with_fields
 from typing import Any
@@ -47,6 +48,7 @@ _, EXACT = lived(WORLD, linear_learner(), SEEDS, 60.0)
 _, DATA = lived(NOISY, linear_learner(), SEEDS, 60.0)
 
 
+SHUFFLED = Lessons("own", "shuffled", 2)
 FAST = LinearSystem(F, G, dt=0.01)
 
 
@@ -350,6 +352,54 @@ def test_a_tick_of_several_lengths_is_a_step_of_each_learner(parts: Any) -> None
             for name, wanted in getattr(state, group).items():
                 found = getattr(offline.learners, group)[name][row : row + 1]
                 torch.testing.assert_close(found, wanted, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("parts", PARTS, ids=lambda parts: type(parts[0]).__name__)
+def test_it_goes_on_from_a_state_bit_for_bit(parts: Any) -> None:
+    """From between two pieces, while transitions pass and while policies climb."""
+
+    def begin() -> Offline:
+        learner, lessons = derivative_learner(*parts), Lessons("bootstrap", "shuffled", 2)
+        data, schedule = jittering(), Schedule(first=2, every=5)
+        # No policy ever arrives.
+        return Offline(
+            *(learner, World(FAST), data, [0, 1, 2], lessons, None),
+            schedule=schedule,
+            tolerance=0.0,
+        )
+
+    whole, states = begin(), []
+    for _ in whole.learn(5, 2):
+        states.append(whole.state())
+    told = astuple(whole.snapshot())
+    climbing = [bool(state["tensors"]["steps"].max() > 0) for state in states]
+    assert len(climbing) > 8 and sum(climbing) == 3
+    for state in (states[4], states[-2]):
+        second = begin()
+        second.restore({**state, "starts": json.loads(json.dumps(state["starts"]))})
+        for _ in second.learn(5, 2):
+            pass
+        np.testing.assert_equal(astuple(second.snapshot()), told)
+        np.testing.assert_equal(_numbers(second.state()), _numbers(whole.state()))
+
+
+def _numbers(state: dict[str, Any]) -> dict[str, Any]:
+    return {**state, "tensors": {name: t.numpy() for name, t in state["tensors"].items()}}
+
+
+def test_the_state_of_other_data_or_learners_is_refused() -> None:
+    def begin(data: Recorded = DATA, lessons: Lessons = SHUFFLED, fit: Any = None) -> Offline:
+        learner = linear_learner()
+        learner = learner if fit is None else with_fields(learner, fit=fit)
+        return Offline(learner, NOISY, data, SEEDS, lessons, ALL)
+
+    state = begin().state()
+    begin().restore(state)
+    for other in (begin(EXACT), begin(lessons=Lessons("own", "recorded", 2))):
+        with pytest.raises(ValueError, match="data: expected the transitions, in the order"):
+            other.restore(state)
+    with pytest.raises(ValueError, match=r"learners\.fit\.\w+ is (missing|superfluous)"):
+        begin(fit=Ridge(0.1, every=4)).restore(state)
 
 
 class Own:
