@@ -236,12 +236,11 @@ class RecordedLearners(Learning):
         self._warn()
 
     def state(self) -> dict[str, Any]:
-        """What the rest of ``run`` depends on."""
+        """See ``Work``."""
         return {"offline": self._offline.state(), "due": self._due}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from the state of a job of the same settings.  Raises ValueError where it does not
-        fit."""
+    def restore(self, state: Mapping[str, Any], folder: Path) -> None:
+        """See ``Work``."""
         self._offline.restore(state["offline"])
         self._due = state["due"]
 

@@ -375,7 +375,7 @@ class Offline:
         found = hashlib.blake2b(digest_size=16)
         data = self._data
         for array in (data.state, data.action, data.next_state, data.dt, *self._order):
-            found.update(np.ascontiguousarray(array))
+            found.update(np.ascontiguousarray(array).data)
         return found.hexdigest()
 
     def _mode(self) -> torch.no_grad | torch.inference_mode:

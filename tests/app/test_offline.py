@@ -172,7 +172,7 @@ def test_it_goes_on_from_a_state_with_the_same_reports(tmp_path: Path) -> None:
         work = planned(config)[1]()
         assert isinstance(work, RecordedLearners)
         if state is not None:
-            work.restore(state)
+            work.restore(state, tmp_path)
         reports = Reports(work)
         work.run(cast(Job, reports))
         return reports
