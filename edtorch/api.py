@@ -10,6 +10,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,13 +34,15 @@ from edtorch.app.errors import EXPECTED, ConfigError, one_line
 from edtorch.app.given import Given, with_objects
 from edtorch.app.job import Job, Work
 from edtorch.app.learned import Run, copied, new_folder, read_records, read_summary
-from edtorch.app.outputs import Replay, write_run
+from edtorch.app.outputs import Memory, write_run
 from edtorch.app.policies import frozen_world, stored_policies
+from edtorch.app.resume import changed, resume_with
 from edtorch.app.rundir import POLICY, SUMMARY, as_settings, read_config
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
+from edtorch.app.trust import check_trust
 from edtorch.app.work import planned
-from edtorch.run.log import ConsoleSink, Sink, StderrHandler
+from edtorch.run.log import ConsoleSink, StderrHandler
 from sims.base import Sim
 
 logger = logging.getLogger("edtorch")
@@ -143,14 +146,16 @@ def learn(
         _, begin = planned(config)
         if save is not None:
             new_folder(Path(save))
-        memory = Replay()
+        memory = Memory()
         with _threads(config.compute.threads), stop.listening(ending=False), _messages(progress):
-            work = begin()
+            work = begin(None)
             console.print(_first_line(work, preset, seconds, episodes), soft_wrap=True)
-            sinks = [memory, ConsoleSink(console)] if config.log.progress else [memory]
-            job = Job(work, config, stop, console, sinks, lambda work, ended: None)
+            job = Job(work, config, stop, console, memory.keep, lambda work: None)
+            job.sinks.append(memory)
+            if config.log.progress:
+                job.sinks.append(ConsoleSink(console))
             job.timing.startup_s = time.monotonic() - began
-            interrupted = _interrupted(job, sinks)
+            interrupted = _interrupted(job)
         run = Run(
             seeds=work.card.seeds,
             actor=work.actor,
@@ -162,6 +167,7 @@ def learn(
             write=lambda folder: write_run(job, memory, folder, interrupted=interrupted),
             interrupted=interrupted,
             native=evaluation_mode(config),
+            go_on=partial(_resumed, config),
         )
     if save is not None:
         run.save(save)
@@ -194,23 +200,44 @@ def load(
         if policy is not None:
             content = with_objects(content, {"policy": {"given": Given(policy)}})
         # Before the settings are checked, which imports the classes that they name.
-        _check_trust(content, trust)
-        config = as_settings(path, content)
-        world = frozen_world(config, path / POLICY)
-        stored = stored_policies(config, path / POLICY, world)
-        summary = read_summary(path / SUMMARY)
-        return Run(
-            seeds=stored.seeds,
-            actor=stored.actor,
-            parameters=stored.parameters,
-            observer=stored.observer,
-            world=lambda: frozen_world(config, path / POLICY),
-            records=read_records(path / "episodes.csv", stored.seeds),
-            summary=summary,
-            write=copied(path),
-            interrupted=not summary,
-            native=evaluation_mode(config),
-        )
+        check_trust(content, trust)
+        return _loaded(path, as_settings(path, content))
+
+
+def _loaded(path: Path, config: Settings) -> Run:
+    """The run in a folder; config: its own, in which objects may stand."""
+    world = frozen_world(config, path / POLICY)
+    stored = stored_policies(config, path / POLICY, world)
+    summary = read_summary(path / SUMMARY)
+    run = Run(
+        seeds=stored.seeds,
+        actor=stored.actor,
+        parameters=stored.parameters,
+        observer=stored.observer,
+        world=lambda: frozen_world(config, path / POLICY),
+        records=read_records(path / "episodes.csv", stored.seeds),
+        summary=summary,
+        write=copied(path),
+        interrupted=not summary,
+        native=evaluation_mode(config),
+        go_on=partial(_resumed, config),
+    )
+    run.folder = path
+    return run
+
+
+def _resumed(config: Settings, path: Path, changes: Mapping[str, Any], progress: bool) -> Run:
+    """See ``Run.resume``."""
+    stop, began, console = Stop(), time.monotonic(), Console(quiet=not progress)
+    with _refusing():
+        config = changed(path, config, {**changes, "log.progress": progress})
+        with (
+            _threads(config.compute.threads),
+            stop.listening(ending=False),
+            contextlib.suppress(KeyboardInterrupt),
+        ):
+            resume_with(path, config, stop, began, console)
+        return _loaded(path, config)
 
 
 @contextlib.contextmanager
@@ -262,7 +289,7 @@ def _first_line(work: Work, preset: str, seconds: float | None, episodes: int | 
     return f"{line}, at most {budget} each{chosen}"
 
 
-def _interrupted(job: Job, sinks: Sequence[Sink]) -> bool:
+def _interrupted(job: Job) -> bool:
     """Learn and evaluate; returns whether that was interrupted."""
     try:
         job.run()
@@ -270,7 +297,7 @@ def _interrupted(job: Job, sinks: Sequence[Sink]) -> bool:
     except KeyboardInterrupt:
         return True
     finally:
-        for sink in sinks:
+        for sink in job.sinks:
             sink.close()
     return False
 
@@ -322,26 +349,3 @@ def _replaced_env(config: Settings, env: Env) -> Settings:
         return with_objects(config, {"domain": node})
     kept = {k: v for k, v in config.domain.items() if k not in ("env", "env_id", "_target_")}
     return with_objects(config, {"domain": {**node, **kept}})
-
-
-_OURS = ("edtorch", "sims")
-
-
-def _check_trust(node: Any, trust: bool | Sequence[str], key: str = "") -> None:
-    """Refuse settings that would import code of packages that are neither ours nor trusted."""
-    if trust is True:
-        return
-    trusted = {*_OURS, *(trust or ())}
-    for name, value in node.items() if isinstance(node, Mapping) else ():
-        full = f"{key}.{name}" if key else str(name)
-        if isinstance(value, Mapping):
-            _check_trust(value, trust, full)
-        elif isinstance(value, str):
-            imported = value.split(".")[0] if name == "_target_" else ""
-            if name == "env_id" and ":" in value:
-                imported = value.split(":")[0].split(".")[0]
-            if imported and imported not in trusted:
-                raise ConfigError(
-                    f"{full}={value}: code of {imported!r} would be imported; expected"
-                    f" trust=[{imported!r}], or trust=True for any"
-                )

@@ -96,6 +96,7 @@ REMOVED_KEYS = {
     "compute.compile": _NATIVE,
     "compute.compile_after": _NATIVE,
     "compute.precision": f"everything is computed in float64; {_NATIVE}",
+    "log.checkpoint": "states are saved by the clock on the wall: log.checkpoint_wall=SECONDS",
 }
 """Settings that are gone, with what to say of them: refused where they are typed, and left out of
 saved configurations."""

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from edtorch.report.domain import Domain
 from edtorch.report.statistics import Spread, evaluation_figures
-from edtorch.run.episodes import Episode
+from edtorch.run.episodes import Episode, nested_of, nested_state
 from edtorch.types import Parameters
 from sims.base import Outcome
 
@@ -41,6 +41,22 @@ class Kept:
     scores: list[Score]
     minutes: list[float]
     episodes: list[list[Episode]]
+
+    def state(self) -> dict[str, Any]:
+        """For ``of``."""
+        return {
+            "parameters": self.parameters,
+            "scores": self.scores,
+            "minutes": self.minutes,
+            "episodes": nested_state(self.episodes),
+        }
+
+    @staticmethod
+    def of(state: Mapping[str, Any]) -> Kept:
+        """What ``state`` was made of."""
+        scores: list[Score] = [(own[0], own[1], own[2]) for own in state["scores"]]
+        episodes = nested_of(state["episodes"])
+        return Kept(dict(state["parameters"]), scores, list(state["minutes"]), episodes)
 
     def as_json(self, domain: Domain) -> dict[str, Any]:
         """For ``summary.json``."""

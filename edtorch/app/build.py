@@ -63,7 +63,6 @@ def _check(config: Settings) -> None:
         positive(f"eval.minutes[{place}]", minutes)
     at_least("compute.threads", config.compute.threads, 1)
     at_least("log.every", config.log.every, 1)
-    at_least("log.checkpoint", config.log.checkpoint, config.log.every)
 
 
 def build(config: Settings, budget: Budget | None = None) -> Setup:

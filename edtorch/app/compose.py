@@ -10,6 +10,7 @@ from typing import Any
 
 import hydra
 from hydra._internal.utils import _run_hydra, get_args_parser
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.version import setbase
 from omegaconf import DictConfig, OmegaConf
@@ -21,7 +22,6 @@ from edtorch.app.options import options_named, without_presets
 from edtorch.app.overrides import typed, typing
 from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
-from edtorch.app.sweep_names import hash_of
 from edtorch.beside import ROOT
 from edtorch.renamed import REMOVED_KEYS, RENAMED_KEYS
 
@@ -39,20 +39,7 @@ def _unless_recorded(value: Any, *, _root_: Any) -> Any:
     return None if recorded else value
 
 
-def _where_named(named: Any, unnamed: Any, *, _root_: Any) -> Any:
-    """One value in a sweep with a name, another in one without."""
-    return unnamed if OmegaConf.select(_root_, "sweep.name") is None else named
-
-
-def _hash_of_job(*, _root_: Any) -> str:
-    """The name of a job's folder in a sweep with a name."""
-    return hash_of(OmegaConf.select(_root_, "hydra.overrides.task"))
-
-
-# Here, so that they are known wherever a job is composed: in the processes of launchers, too.
 OmegaConf.register_new_resolver("unless_recorded", _unless_recorded, replace=True)
-OmegaConf.register_new_resolver("where_named", _where_named, replace=True)
-OmegaConf.register_new_resolver("hash_of_job", _hash_of_job, replace=True)
 
 
 def compose(overrides: Sequence[str] = (), name: str = "train") -> Settings:
@@ -93,6 +80,28 @@ def _prepared(override: str, keys: set[str]) -> str:
     return f"{sign}{key}{match['rest']}"
 
 
+def settings_typed() -> dict[str, Any]:
+    """Of a command line that names a run to go on with, ``resume=RUN``, the settings by full key;
+    empty of any other.  Raises ConfigError where there is more than settings."""
+    overrides = [each for each in typed() if not each.startswith("-")]
+    if not any(each.lstrip("+").startswith("resume=") for each in overrides):
+        return {}
+    options = [each for each in typed() if each.startswith("-")]
+    if options:
+        raise ConfigError(f"{options[0]}: expected none with resume=RUN, which is one run")
+    settings: dict[str, Any] = {}
+    for override in OverridesParser.create().parse_overrides(prepared(overrides)):
+        if override.is_sweep_override() or override.is_delete():
+            raise ConfigError(f"{override.input_line}: expected KEY=VALUE with one value")
+        settings[override.key_or_group] = plain_value(override.value())
+    return settings
+
+
+def plain_value(value: Any) -> Any:
+    """A value of Hydra's grammar as text, number, list or dict."""
+    return OmegaConf.to_container(OmegaConf.create({"value": value}))["value"]  # pyright: ignore
+
+
 def plainly(composed: Any) -> dict[str, Any]:
     """What Hydra composed as dicts and lists, interpolations resolved."""
     content = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
@@ -112,8 +121,7 @@ def launch(task: Callable[[Any], Any], folder: Path, name: str) -> None:
     parser = get_args_parser()
     arguments = parser.parse_args()
     setbase("1.3")
-    overrides = arguments.overrides
-    with typing(overrides), options_named(overrides) as named:
+    with options_named(arguments.overrides) as named:
         arguments.overrides = prepared(named)
         _run_hydra(
             args=arguments,

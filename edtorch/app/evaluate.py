@@ -22,10 +22,18 @@ from edtorch.app.errors import ConfigError, guarded, no_such_folder, refusing
 from edtorch.app.groups import Evaluate
 from edtorch.app.learned import read_records
 from edtorch.app.policies import frozen_world, stored_policies
-from edtorch.app.rundir import POLICY, command_line, json_text, load_config, versions
+from edtorch.app.rundir import (
+    POLICY,
+    as_settings,
+    command_line,
+    json_text,
+    read_config,
+    versions,
+)
 from edtorch.app.schema import checked_fields
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
+from edtorch.app.trust import check_trust, trusted
 from edtorch.native.evaluation import Mode, evaluate_policies
 from edtorch.report.domain import RETURN, Domain
 from edtorch.report.quantities import evaluation, told_of
@@ -113,7 +121,11 @@ def _evaluate(config: Settings) -> float:
         raise ConfigError(f"native={config.native}: expected one of {', '.join(get_args(Mode))}")
     torch.set_num_threads(config.threads)
     folder = Path(config.run)
-    run_config = load_config(folder)
+    content = read_config(folder)
+    check_trust(
+        {**content, "domain": {**content["domain"], **config.domain}}, trusted(config.trust)
+    )
+    run_config = as_settings(folder, content)
     check_seeds(run_config)
     path = Path(config.policy) if config.policy is not None else folder / POLICY
     if not path.is_file():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -21,7 +21,7 @@ from edtorch.report.milestones import checkpoint_figures, milestone_figures
 from edtorch.report.quantities import EVALUATION, evaluation, told_of
 from edtorch.report.statistics import Spread, evaluation_figures
 from edtorch.report.text import number
-from edtorch.run.episodes import Episode
+from edtorch.run.episodes import Episode, nested_of, nested_state
 from edtorch.run.milestones import MILESTONES
 from edtorch.types import LearnerState, Parameters
 
@@ -120,10 +120,40 @@ class Evaluations:
         self._tried_at = [0] * size
         self._paid_cpu_s = [0.0] * size
 
-    def ticks_ahead(self, clock: int, most: int) -> int:
-        """How many ticks may be run before the next evaluation, ``most`` at most."""
-        later = [tick - clock for tick in self._due if tick > clock]
-        return min([most, *later])
+    def next_after(self, clock: int, other: int) -> int:
+        """The tick of the next evaluation after ``clock``, or ``other`` if that comes before."""
+        return min([other, *(tick for tick in self._due if tick > clock)])
+
+    def state(self) -> dict[str, Any]:
+        """What the evaluations to come, and the figures of all of them, depend on."""
+        return {
+            "done": [
+                {"minutes": each.minutes, "episodes": nested_state(each.episodes)}
+                for each in self.done
+            ],
+            "kept": None if self.kept is None else self.kept.state(),
+            "trials": None if self.trials is None else self.trials.state(),
+            "clock": self._clock,
+            "ticks": self._ticks,
+            "tried_at": self._tried_at,
+            "paid_cpu_s": self._paid_cpu_s,
+            "cpu_s": self.cpu_s,
+            "uncharged_cpu_s": self._uncharged(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from the state of others of the same settings."""
+        self.done = [
+            Evaluation(each["minutes"], nested_of(each["episodes"])) for each in state["done"]
+        ]
+        self.kept = None if state["kept"] is None else Kept.of(state["kept"])
+        if self.trials is not None:
+            self.trials.restore(state["trials"])
+        self._clock = state["clock"]
+        self._ticks, self._tried_at = list(state["ticks"]), list(state["tried_at"])
+        self._paid_cpu_s, self.cpu_s = list(state["paid_cpu_s"]), state["cpu_s"]
+        self._began = 0.0
+        self._began = self._uncharged() - state["uncharged_cpu_s"]
 
     def run_if_due(self, training: Learned) -> News | None:
         """Evaluate if this is the tick for it."""
@@ -218,12 +248,16 @@ class Evaluations:
 
     def _charge(self, training: Learned) -> None:
         """Share the CPU seconds of learning since the last call out among those who lived."""
-        spent = time.process_time() - self._began - self.cpu_s - sum(self._paid_cpu_s)
+        spent = self._uncharged()
         ticks = training.learners.tick.tolist()
         lived = [now - before for now, before in zip(ticks, self._ticks, strict=True)]
         for row, own in enumerate(lived):
             self._paid_cpu_s[row] += spent * own / max(1, sum(lived))
         self._ticks = ticks
+
+    def _uncharged(self) -> float:
+        """CPU seconds of learning that are nobody's yet."""
+        return time.process_time() - self._began - self.cpu_s - sum(self._paid_cpu_s)
 
     def _changed(self) -> list[int]:
         """Rows that have learned since they were last tried, or never were."""

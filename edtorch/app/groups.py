@@ -238,27 +238,20 @@ class ComputeGroup:
 
 @dataclass(frozen=True)
 class LogGroup:
-    """every: simulated seconds between two rows; checkpoint: between two saves of everything;
+    """every: simulated seconds between two rows; checkpoint_wall: wall seconds between two saves of
+    everything, 0 for as often as it can; checkpoints: how many of the last ones are kept;
     value_error: whether the rows have the value error estimate; transitions: whether every one is
     kept, for ``transitions.npz``."""
 
     every: int = 5
     value_error: bool = False
     transitions: bool = False
-    checkpoint: int = 500
+    checkpoint_wall: float = 60.0
+    checkpoints: int = 2
     tensorboard: bool = True
     figures: bool = True
     animation: bool = True
     progress: bool = True
-
-
-@dataclass(frozen=True)
-class SweepGroup:
-    """Of ``edtorch-train -m``.  name: of a sweep that can be repeated, null: it has a folder by the
-    time of day; retry: whether jobs that have failed are tried again."""
-
-    name: str | None = None
-    retry: bool = False
 
 
 @dataclass(frozen=True)
@@ -268,7 +261,8 @@ class Evaluate:
     run: folder of a run; policy: a file, by default the run's own; episodes: per seed; domain:
     settings that replace the run's own; baselines: whether to evaluate the domain's own controllers
     in the same episodes; yardsticks: its name before 0.1.0; native: auto, on or off
-    (``edtorch.native.evaluation``); threads: as in training.
+    (``edtorch.native.evaluation``); threads: as in training; trust: names of packages whose code
+    the run's configuration may import, or true (``edtorch.app.trust``).
     """
 
     run: str
@@ -279,6 +273,7 @@ class Evaluate:
     yardsticks: bool = False
     native: str = "auto"
     threads: int = 1
+    trust: Any = ()
     debug: bool = False
 
 
@@ -299,7 +294,6 @@ UNTARGETED: dict[str, tuple[type, ...]] = {
     "eval": (EvalGroup,),
     "compute": (ComputeGroup,),
     "log": (LogGroup,),
-    "sweep": (SweepGroup,),
 }
 """By group, the variants of what an option without a class sets; the first where none is given."""
 

@@ -10,6 +10,7 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,8 +104,13 @@ class Work(ABC):
         """
         raise NotImplementedError
 
-    def save(self, folder: Path, *, ended: bool) -> None:
-        """Write files of its own, beside the policies; ended: nothing more will be learned."""
+    def flush(self, folder: Path) -> Sequence[Path]:
+        """Have its own files in ``folder`` that are only appended to hold what there is; returns
+        them."""
+        return ()
+
+    def save(self, folder: Path) -> None:
+        """Write files of its own, beside the policies, when learning is over."""
         return
 
     def draw(self, folder: Path, *, animate: bool) -> Figure | None:
@@ -124,12 +130,17 @@ class _Stopped(Exception):
     """A stop was requested, and the last tick is complete."""
 
 
+CHECKPOINT_SHARE = 0.02
+"""Of the time of learning that the saving of states may take."""
+
+
 class Job:
     """One run: ``run``, ``evaluate``, and then ``summary`` and the policies of ``work``.
 
     config: what the work was built from; stop: looked at between ticks; console: gets the lines on
-    the way; sinks: get the entries; save: called with the work every ``log.checkpoint`` simulated
-    seconds (False), and however learning ends (True).
+    the way; ``sinks``: get the entries; keep: called with the job to save ``state()``, every
+    ``log.checkpoint_wall`` seconds and before the process may end; over: called with the work
+    however learning ends.
     """
 
     def __init__(
@@ -138,51 +149,85 @@ class Job:
         config: Settings,
         stop: Stop,
         console: Console,
-        sinks: Sequence[Sink],
-        save: Callable[[Work, bool], None],
+        keep: Callable[[Job], None],
+        over: Callable[[Work], None],
     ) -> None:
         self.work = work
         self.config = config
         self.console = console
+        self.sinks: list[Sink] = []
         self.timing = Timing()
         self._stop = stop
-        self._sinks = sinks
-        self._save = save
-        self._next_save = config.log.checkpoint
-        self._eval_cpu_s = 0.0
-        for note in work.notes:
-            logger.info("%s", note)
+        self._keep = keep
+        self._over = over
+        self._next_keep = 0.0
+        self._clocks = Clocks()
+
+    def state(self) -> dict[str, Any]:
+        """What the rest of the job depends on; of work that holds its state."""
+        return {"work": self.work.state(), "timing": asdict(self._timed())}
+
+    def restore(self, state: Mapping[str, Any], folder: Path) -> None:
+        """Go on from the state of another job of the same settings, of the run in ``folder``.
+
+        Raises ValueError where it does not fit.
+        """
+        self.work.restore(state["work"], folder)
+        self.timing = Timing(**{**state["timing"], "startup_s": self.timing.startup_s})
 
     def run(self) -> None:
         """Learn.  Raises KeyboardInterrupt, after the tick, if a stop was requested."""
-        wall, cpu = time.monotonic(), time.process_time()
-        work, timing = self.work, self.timing
+        for note in self.work.notes:
+            logger.info("%s", note)
+        self._clocks = Clocks()
         try:
             with self._stop.between_ticks(), contextlib.suppress(_Stopped):
-                work.run(self)
+                self.whole()
+                self.work.run(self)
         finally:
             with self._stop.not_now():
-                timing.wall_s = time.monotonic() - wall - timing.eval_s
-                timing.cpu_s = time.process_time() - cpu - self._eval_cpu_s
-                timing.ticks = work.ticks
-                self._save(work, True)
+                self.timing, self._clocks = self._timed(), Clocks()
+                self._over(self.work)
         if self._stop.asked:
             raise KeyboardInterrupt
 
+    def _timed(self) -> Timing:
+        """``timing`` with what learning has taken until now."""
+        wall, cpu = self._clocks.passed()
+        timing, ticks = self.timing, self.work.ticks
+        return replace(timing, wall_s=timing.wall_s + wall, cpu_s=timing.cpu_s + cpu, ticks=ticks)
+
     def pause(self) -> None:
         """Called by the work between ticks; raises what ends it if a stop was requested."""
+        if self._stop.waiting:
+            self._next_keep = 0.0
+            self._stop.hand_on()
         if self._stop.asked:
             raise _Stopped
 
+    def whole(self) -> None:
+        """Called by the work wherever ``state`` is whole: saves it if it is time; as ``pause``."""
+        if self._stop.asked or self._stop.waiting or time.monotonic() >= self._next_keep:
+            self.keep()
+        self._stop.hand_on()
+        if self._stop.asked:
+            raise _Stopped
+
+    def keep(self) -> None:
+        """Save the state, now."""
+        began = time.monotonic()
+        with self._stop.not_now():
+            self._keep(self)
+        now = time.monotonic()
+        least = (now - began) / CHECKPOINT_SHARE
+        self._next_keep = now + max(self.config.log.checkpoint_wall, least)
+
     def take(self, entry: Entry) -> None:
-        """Report what the work has done since the last time; saves if it is time."""
-        for sink in self._sinks:
+        """Report what the work has done since the last time."""
+        for sink in self.sinks:
             sink.write(entry)
         if entry.news:
             self.console.print(entry.news, soft_wrap=True, highlight=False)
-        if self.work.seconds >= self._next_save:
-            self._save(self.work, False)
-            self._next_save += self.config.log.checkpoint
 
     def evaluate(self) -> None:
         """Run the evaluation at the end."""
@@ -192,12 +237,28 @@ class Job:
     @contextlib.contextmanager
     def evaluation(self) -> Iterator[None]:
         """What the work does meanwhile does not count as learning."""
-        wall, cpu = time.monotonic(), time.process_time()
+        clocks = Clocks()
         yield
-        self.timing.eval_s += time.monotonic() - wall
-        self._eval_cpu_s += time.process_time() - cpu
+        wall, cpu = clocks.passed()
+        self.timing.eval_s += wall
+        self._clocks.leave_out(wall, cpu)
 
     def summary(self) -> dict[str, Any]:
         """The content of ``summary.json``."""
         made_by = {"versions": versions(), "command": command_line()}
         return {**self.timing.as_json(), **self.work.summary(), **made_by}
+
+
+class Clocks:
+    """Wall and CPU seconds since now."""
+
+    def __init__(self) -> None:
+        self._wall, self._cpu = time.monotonic(), time.process_time()
+
+    def passed(self) -> tuple[float, float]:
+        """Seconds on the wall, and of CPU."""
+        return time.monotonic() - self._wall, time.process_time() - self._cpu
+
+    def leave_out(self, wall: float, cpu: float) -> None:
+        """Do not count these."""
+        self._wall, self._cpu = self._wall + wall, self._cpu + cpu

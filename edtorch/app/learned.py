@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import shutil
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from numbers import Integral
 from pathlib import Path
@@ -21,6 +20,7 @@ from edtorch.learner.observer import Observer
 from edtorch.native.evaluation import Mode, evaluate_policies
 from edtorch.report.statistics import by_row
 from edtorch.run.episodes import Episode
+from edtorch.run.log import read_episodes
 from edtorch.run.random import Purpose, Streams, stream_key
 from edtorch.run.scaled_sim import World
 from edtorch.run.success import settled
@@ -40,7 +40,10 @@ class Run:
     parameters: of their policies, ``[S, ...]``; world: makes a fresh world to evaluate in; records:
     the episodes of learning; summary: the content of ``summary.json``; write: saves a complete run
     folder under a path that does not exist yet; interrupted: whether it was stopped by Ctrl-C
-    before the end of its budget; native: whether evaluations use kernels.
+    before the end of its budget; native: whether evaluations use kernels; go_on: continues it in
+    a folder, with changed settings and perhaps with reports on the way.
+
+    folder: where it is saved, None: nowhere yet.
     """
 
     def __init__(
@@ -56,7 +59,9 @@ class Run:
         write: Callable[[Path], None],
         interrupted: bool = False,
         native: Mode = "auto",
+        go_on: Callable[[Path, Mapping[str, Any], bool], Run],
     ) -> None:
+        self.folder: Path | None = None
         self.seeds = list(seeds)
         self.summary = summary
         self.interrupted = interrupted
@@ -67,6 +72,7 @@ class Run:
         self._world = world
         self._records = list(records)
         self._write = write
+        self._go_on = go_on
 
     def __repr__(self) -> str:
         return f"<edtorch run: {len(self.seeds)} seeds, {len(self._records)} episodes>"
@@ -153,7 +159,21 @@ class Run:
         ``edtorch-report``.  Raises ValueError if the folder holds something already."""
         path = new_folder(Path(folder))
         self._write(path)
+        self.folder = path
         return path
+
+    def resume(self, *, seconds: float | None = None, progress: bool = True) -> Run:
+        """Go on with a saved run in its folder, to the end of its budget: what it would have become
+        without a break, digit for digit.
+
+        seconds: a larger budget, simulated, of each learner.  A run that is complete stays as it is
+        without one.  Raises ValueError, of one line, for a run that was not saved, and where its
+        folder does not hold what is needed.
+        """
+        if self.folder is None:
+            raise ValueError("resume: expected a run in a folder; save it first, run.save(FOLDER)")
+        changes = {} if seconds is None else {"train.seconds": float(seconds)}
+        return self._go_on(self.folder, changes, progress)
 
     def _fresh(self, episodes: int, purpose: Purpose) -> list[list[Episode]]:
         return evaluate_policies(
@@ -213,30 +233,13 @@ def _mean(values: Sequence[float]) -> float | None:
 
 def read_records(path: Path, seeds: Sequence[int]) -> list[Episode]:
     """The episodes in an ``episodes.csv``, none without that file; a success that was open when a
-    row was written is settled, but for files without that column."""
+    row was written is settled, but for files without that column.  Raises FileProblem."""
     if not path.exists():
         return []
-    known = {"seed", "episode", "start_s", "seconds", "outcome", "return", "success"}
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        found = [
-            Episode(
-                row=list(seeds).index(int(row["seed"])),
-                number=int(row["episode"]),
-                start=float(row["start_s"]),
-                seconds=float(row["seconds"]),
-                outcome=Outcome[row["outcome"].upper()],
-                measures={k: _number(v) for k, v in row.items() if k not in known},
-                total_reward=_number(row.get("return", "")),
-                success=None if not row.get("success") else bool(int(row["success"])),
-            )
-            for row in reader
-        ]
-    return settled(found, found) if "success" in (reader.fieldnames or ()) else found
-
-
-def _number(text: str) -> float:
-    return float(text) if text else math.nan
+    found = read_episodes(path, seeds)
+    with path.open(encoding="utf-8") as file:
+        has_success = "success" in file.readline()
+    return settled(found, found) if has_success else found
 
 
 def read_summary(path: Path) -> dict[str, Any]:

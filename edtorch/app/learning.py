@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from edtorch.app.build import Setup
 from edtorch.app.evaluations import Evaluations, Learned
@@ -56,6 +58,19 @@ class Learning(Work):
     def episodes(self) -> Sequence[Episode]:
         """See ``Work``."""
         return self._learned.episodes
+
+    def state(self) -> dict[str, Any]:
+        """See ``Work``."""
+        return {
+            "evaluations": self._evaluations.state(),
+            "warned": sorted(self._warned),
+            "floored": sorted(self._floored),
+        }
+
+    def restore(self, state: Mapping[str, Any], folder: Path) -> None:
+        """See ``Work``."""
+        self._evaluations.restore(state["evaluations"])
+        self._warned, self._floored = set(state["warned"]), set(state["floored"])
 
     def evaluate(self, job: Job) -> None:
         """Fresh episodes of each policy."""

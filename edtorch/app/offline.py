@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-import torch
 from rich.table import Table
 
 from edtorch.app.budget import given_budget
@@ -22,14 +21,13 @@ from edtorch.app.inverse import has_inverse
 from edtorch.app.job import Job
 from edtorch.app.learning import Learning
 from edtorch.app.random_search import is_rival
-from edtorch.app.rundir import CHECKPOINT, TRANSITIONS
+from edtorch.app.rundir import TRANSITIONS
 from edtorch.app.settings import Settings
 from edtorch.app.summary import not_finite, result_figures, summary_table
 from edtorch.learner.learner import Learner
 from edtorch.report.domain import Domain
 from edtorch.report.milestones import milestone_figures
 from edtorch.report.statistics import Spread, by_row
-from edtorch.run.checkpoint import write_atomically
 from edtorch.run.episodes import Budget, Episode
 from edtorch.run.milestones import FirstSuccess, checkpoint
 from edtorch.run.offline import Lessons, Offline
@@ -231,16 +229,18 @@ class RecordedLearners(Learning):
                 self._due += self._log_every
                 job.take(self._snapshots.entry(self._offline.snapshot(), []))
             # Afterwards, so that nothing is due in a state of now.
-            job.pause()
+            job.whole()
+        job.keep()
         job.take(self._snapshots.entry(self._offline.snapshot(), self.episodes))
         self._warn()
 
     def state(self) -> dict[str, Any]:
         """See ``Work``."""
-        return {"offline": self._offline.state(), "due": self._due}
+        return {**super().state(), "offline": self._offline.state(), "due": self._due}
 
     def restore(self, state: Mapping[str, Any], folder: Path) -> None:
         """See ``Work``."""
+        super().restore(state, folder)
         self._offline.restore(state["offline"])
         self._due = state["due"]
 
@@ -259,16 +259,6 @@ class RecordedLearners(Learning):
         """Fresh episodes of each policy."""
         super().evaluate(job)
         self._cpu_s = job.timing.cpu_s
-
-    def save(self, folder: Path, *, ended: bool) -> None:
-        """What the learners know."""
-        state = self._offline.learners
-        content = {
-            "seeds": self.seeds,
-            "clock": self._offline.clock,
-            "learners": {name: getattr(state, name) for name in state.__dataclass_fields__},
-        }
-        write_atomically(folder / CHECKPOINT, lambda partial: torch.save(content, partial))
 
     def summary(self) -> dict[str, Any]:
         """A learner's, all experience being that of the data."""

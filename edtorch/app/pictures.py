@@ -45,7 +45,7 @@ def _shown(training: Training) -> _Shown | None:
         title = f"seed {training.seeds[0]}, the first episode so far"
         seconds = training.seconds
     else:
-        states = training.trail.states(episode.row, *episode.trail)
+        states = training.path(episode)
         seed, number = training.seeds[episode.row], episode.number + 1
         title = f"seed {seed}, episode {number}, after {episode.start:.0f} s of training"
         seconds = episode.seconds

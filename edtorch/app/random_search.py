@@ -225,7 +225,7 @@ class RandomPolicies(Work):
             if due and progress.steps > self._steps:
                 self._steps, told = progress.steps, now
                 job.take(self._entry(progress))
-            job.pause()
+            job.whole()
 
         self._result = found = search(
             setup.settings,
@@ -239,6 +239,7 @@ class RandomPolicies(Work):
         )
         numbers = found.policy[found.goal].tolist()
         self.card = policy_card(setup.world.sim, setup.policy, numbers)
+        job.keep()
 
     def _entry(self, progress: Progress) -> Entry:
         wall = self._wall_s
@@ -252,7 +253,7 @@ class RandomPolicies(Work):
             f"  {progress.steps / max(wall, 1e-9) / 1e6:.1f} M steps per s",
         )
 
-    def save(self, folder: Path, *, ended: bool) -> None:
+    def save(self, folder: Path) -> None:
         """``policies.csv``: the policies that never failed."""
         result = self._result
         if result is None:

@@ -258,6 +258,7 @@ class Rivals(Work):
             rows = [row for row, on in enumerate(going) if on]
             if not rows:
                 self._warn_of_excess()
+                job.keep()
                 return
             began = time.process_time()
             search.advance(going, job.pause)

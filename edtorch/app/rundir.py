@@ -19,6 +19,7 @@ from typing import Any
 from edtorch.app.compose import as_yaml, read_yaml
 from edtorch.app.errors import ConfigError, no_such_folder
 from edtorch.app.given import without_objects
+from edtorch.app.lock import Lock
 from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
 from edtorch.run.checkpoint import FileProblem, write_text
@@ -26,10 +27,13 @@ from edtorch.run.checkpoint import FileProblem, write_text
 CONFIG = "config.yaml"
 STATUS = "status.json"
 POLICY = "policy.safetensors"
-CHECKPOINT = "checkpoint.pt"
 ABOUT = "run.json"
 SUMMARY = "summary.json"
 TRANSITIONS = "transitions.npz"
+PART = "transitions.part"
+"""The transitions of a run that keeps them, tick by tick."""
+INTERRUPTED = ("interrupted", "stopped by a signal; edtorch-train resume=FOLDER goes on")
+"""Status of a run that was stopped from outside, and why."""
 PACKAGES = ("edtorch", "torch", "numpy", "hydra-core", "gymnasium", "tensorboard", "matplotlib")
 
 
@@ -77,11 +81,14 @@ def settings_text(config: Settings) -> str:
 class RunFolder:
     """The folder of one training run, from the moment its configuration is known to be good.
 
-    key: the setting that names it.
+    key: the setting that names it; lock: see ``edtorch.app.lock``; is_running: between ``begin`` or
+    ``go_on``, and ``end``.
     """
 
     def __init__(self, path: Path, key: str = "hydra.run.dir") -> None:
         self.path = path
+        self.lock = Lock(path)
+        self.is_running = False
         self._key = key
         self._began = time.time()
 
@@ -106,7 +113,7 @@ class RunFolder:
         try:
             write_text(self.path / CONFIG, settings_text(config))
             write_text(self.path / ABOUT, json_text(about))
-            self.set_status("running")
+            self._run()
         except OSError as error:
             with contextlib.suppress(OSError):
                 for path in files:
@@ -115,13 +122,40 @@ class RunFolder:
                 f"{self._key}={self.path}: expected a folder to write to ({error.strerror})"
             ) from error
 
+    def go_on(self, config: Settings, tick: int) -> None:
+        """Write that the run goes on, after ``tick`` learner ticks, with these settings."""
+        about = json.loads((self.path / ABOUT).read_text(encoding="utf-8"))
+        again = {
+            "command": command_line(),
+            "host": socket.gethostname(),
+            "ticks": tick,
+            "time": time.strftime("%Y-%m-%d %H:%M:%S"),
+            "versions": versions(),
+        }
+        resumed = [*about.get("resumed", []), again]
+        # Of an end that is none any more.
+        (self.path / SUMMARY).unlink(missing_ok=True)
+        write_text(self.path / CONFIG, settings_text(config))
+        write_text(self.path / ABOUT, json_text({**about, "resumed": resumed}))
+        self._run()
+
     def add(self, fact: str, value: str) -> None:
         """One more line in ``run.json``."""
         about = json.loads((self.path / ABOUT).read_text(encoding="utf-8"))
         write_text(self.path / ABOUT, json_text({**about, fact: value}))
 
-    def set_status(self, status: str, why: str | None = None) -> None:
-        """``running``, ``done``, ``interrupted`` or ``failed``, with the reason."""
+    def _run(self) -> None:
+        self._set_status("running")
+        self.is_running = True
+
+    def end(self, status: str, why: str | None = None) -> None:
+        """Write how it ended: ``done``, ``interrupted`` or ``failed``, with the reason; nothing
+        where the run was refused before it went on."""
+        if self.is_running:
+            self._set_status(status, why)
+            self.is_running = False
+
+    def _set_status(self, status: str, why: str | None = None) -> None:
         content = {
             "status": status,
             "why": why,
@@ -129,6 +163,14 @@ class RunFolder:
             "seconds": round(time.time() - self._began, 3),
         }
         write_text(self.path / STATUS, json_text(content))
+
+
+def status_of(folder: Path) -> str | None:
+    """What became of the run in a folder, as ``RunFolder.set_status`` says; None: unknown."""
+    try:
+        return json.loads((folder / STATUS).read_text(encoding="utf-8"))["status"]
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
 
 
 def load_config(folder: Path) -> Settings:

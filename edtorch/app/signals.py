@@ -1,14 +1,18 @@
-"""Being stopped from outside: by Ctrl-C (SIGINT) or by a scheduler (SIGTERM)."""
+"""Being told from outside to stop or to save: by Ctrl-C (SIGINT), SIGTERM, SIGUSR2."""
 
 from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
+)
+_ENDS_THE_PROCESS = (signal.SIG_DFL, signal.SIG_IGN, signal.default_int_handler)
 
 
 class Interrupted(KeyboardInterrupt):
@@ -21,20 +25,43 @@ class Stop:
     It interrupts at once (KeyboardInterrupt), but for two places: ``between_ticks`` the first one
     only sets ``asked``, so that no tick is left half done; ``not_now`` any does.  What follows an
     interruption is saving, so that from then on signals are ignored.
+
+    Where somebody else handles a signal already, such as submitit, which submits a pre-empted job
+    again, that decides what becomes of the process: ``between_ticks`` the signal waits in
+    ``waiting`` until the state is saved and ``hand_on`` is called.
     """
 
     def __init__(self) -> None:
         self.asked = False
+        self.waiting: list[int] = []
         self._patient = False
         self._deaf = False
+        self._before: dict[int, Any] = {}
 
     def _handle(self, signum: int, frame: FrameType | None) -> None:
+        if self._is_handled_elsewhere(signum):
+            self.waiting.append(signum)
+            if not (self._deaf or self._patient):
+                self.hand_on()
+            return
         being_honoured = self.asked and not self._patient
         if self._deaf or being_honoured or (self._patient and not self.asked):
             self.asked = True
             return
         self.asked, self._patient = True, False
         raise KeyboardInterrupt
+
+    def _is_handled_elsewhere(self, signum: int) -> bool:
+        handler = self._before.get(signum)
+        return handler is not None and handler not in _ENDS_THE_PROCESS
+
+    def hand_on(self) -> None:
+        """Call the handlers that were there before for the signals in ``waiting``, which may end
+        the process."""
+        while self.waiting:
+            signum = self.waiting.pop(0)
+            handler: Callable[[int, FrameType | None], Any] = self._before[signum]
+            handler(signum, None)
 
     @contextmanager
     def listening(self, *, ending: bool = True) -> Iterator[None]:
@@ -45,11 +72,13 @@ class Stop:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        before = {number: signal.signal(number, self._handle) for number in SIGNALS}
+        self._before = {number: signal.getsignal(number) for number in SIGNALS}
+        for number in SIGNALS:
+            signal.signal(number, self._handle)
         try:
             yield
         finally:
-            for number, handler in before.items():
+            for number, handler in self._before.items():
                 # Nothing may interrupt the end of a process that was asked to stop.
                 signal.signal(number, signal.SIG_IGN if self.asked and ending else handler)
 
@@ -65,8 +94,10 @@ class Stop:
     @contextmanager
     def not_now(self) -> Iterator[None]:
         """Signals wait until after the block: what is written here is written to the end."""
-        self._deaf = True
+        before, self._deaf = self._deaf, True
         try:
             yield
         finally:
-            self._deaf = False
+            self._deaf = before
+            if not before:
+                self.hand_on()

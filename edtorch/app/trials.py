@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from edtorch.run.episodes import Episode, episodes_of, episodes_state
+from edtorch.run.episodes import Episode, nested_of, nested_state
 from edtorch.run.milestones import MILESTONES, Checkpoint, checkpoint
 from sims.base import Measure, Outcome
 
@@ -57,13 +57,13 @@ class Trials:
         """What there has been, as ``edtorch.run.state_file`` takes it."""
         return {
             "history": [[asdict(point) for point in own] for own in self.history],
-            "last": [episodes_state(own) for own in self.last],
+            "last": nested_state(self.last),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from such a state."""
         self.history = [[Checkpoint(**point) for point in own] for own in state["history"]]
-        self.last = [episodes_of(own) for own in state["last"]]
+        self.last = nested_of(state["last"])
 
     def _episodes(self, rows: Sequence[int], count: int) -> None:
         if rows:

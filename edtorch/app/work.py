@@ -14,66 +14,101 @@ import torch
 from rich.console import Console
 
 from edtorch.app.build import build
+from edtorch.app.checkpoints import Checkpoint, cut, warn_of
+from edtorch.app.checks import at_least
 from edtorch.app.errors import ConfigError
 from edtorch.app.job import Job, Work
 from edtorch.app.learners import Learners
 from edtorch.app.offline import RecordedLearners, build_offline, is_offline
-from edtorch.app.outputs import open_sinks, save_learned, save_results
+from edtorch.app.outputs import Keeper, open_sinks, save_learned, save_results
 from edtorch.app.random_search import RandomPolicies, build_search, is_rival, is_search
 from edtorch.app.rivals import Rivals, build_rival
-from edtorch.app.rundir import RunFolder
+from edtorch.app.rundir import INTERRUPTED, PART, RunFolder
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Interrupted, Stop
 from edtorch.report.domain import RETURN
+from edtorch.run.checkpoint import FileProblem
 from edtorch.run.log import ConsoleSink, StderrHandler
 
 logger = logging.getLogger("edtorch")
 
 
-Begin = Callable[[], Work]
+Begin = Callable[[Path | None], Work]
+"""Begins the work of a run in a folder, or of one that has none yet."""
 
 
 def planned(config: Settings) -> tuple[list[int], Begin]:
     """The seeds, and what begins the work that the configuration asks for.  Raises ConfigError."""
+    at_least("log.checkpoint_wall", config.log.checkpoint_wall, 0)
+    at_least("log.checkpoints", config.log.checkpoints, 1)
     if is_offline(config):
         offline = build_offline(config)
-        return offline.setup.seeds, lambda: RecordedLearners(offline, config)
+        return offline.setup.seeds, lambda folder: RecordedLearners(offline, config)
     if is_rival(config) and config.log.transitions:
         raise ConfigError("log.transitions=true: expected false with a rival, which keeps none")
     if is_rival(config) and is_search(config):
         search = build_search(config)
-        return [search.seed], lambda: RandomPolicies(search)
+        return [search.seed], lambda folder: RandomPolicies(search)
     if is_rival(config):
         rival = build_rival(config)
-        return rival.seeds, lambda: Rivals(rival)
+        return rival.seeds, lambda folder: Rivals(rival)
     setup = build(config)
-    return setup.seeds, lambda: Learners(setup, config)
+    return setup.seeds, lambda folder: Learners(setup, config, folder)
 
 
 def _done(
-    begin: Begin, config: Settings, run_folder: RunFolder, stop: Stop, began: float
+    begin: Begin,
+    config: Settings,
+    run_folder: RunFolder,
+    stop: Stop,
+    began: float,
+    console: Console,
+    checkpoint: Checkpoint | None,
 ) -> dict[str, Any]:
     """Learn, evaluate, write everything; returns the content of ``summary.json``."""
-    console, work, folder = Console(), begin(), run_folder.path
-    run_folder.add("computed", work.computed)
-    sinks, board = open_sinks(work, config, folder)
-    if config.log.progress:
-        sinks.append(ConsoleSink(console))
+    folder = run_folder.path
+    if checkpoint is not None:
+        cut(folder, checkpoint.files, (PART,))  # which is opened by whoever records
+    work = begin(folder)
     job = Job(
-        *(work, config, stop, console, sinks),
-        lambda work, ended: save_learned(work, folder, ended=ended),
+        *(work, config, stop, console, Keeper(run_folder).keep),
+        lambda work: save_learned(work, folder),
     )
+    if checkpoint is not None:
+        _restore(job, checkpoint, folder)
+    if not run_folder.is_running:
+        run_folder.go_on(config, work.ticks)
+    run_folder.add("computed", work.computed)
+    job.sinks, board = open_sinks(work, config, folder)
+    if config.log.progress:
+        job.sinks.append(ConsoleSink(console))
     job.timing.startup_s = time.monotonic() - began
     try:
         job.run()
         job.evaluate()
         summary = save_results(job, folder, board)
     finally:
-        for sink in sinks:
+        for sink in job.sinks:
             sink.close()
     for part in (*work.told(summary), f"run folder: {folder}"):
         console.print(part, soft_wrap=isinstance(part, str))
     return summary
+
+
+def _restore(job: Job, checkpoint: Checkpoint, folder: Path) -> None:
+    """Put the job where the checkpoint was.  Raises ConfigError and FileProblem."""
+    computed = job.work.computed
+    if computed != checkpoint.computed:
+        raise ConfigError(
+            f"{checkpoint.path}: was {checkpoint.computed}, but here the run would be {computed},"
+            " with other digits; expected the same packages and compute.native"
+        )
+    warn_of(checkpoint)
+    cut(folder, checkpoint.files)
+    try:
+        job.restore(checkpoint.state, folder)
+    except (ValueError, LookupError, TypeError) as error:
+        raise FileProblem(f"{checkpoint.path}: does not fit the run ({error})") from error
 
 
 @contextlib.contextmanager
@@ -111,25 +146,43 @@ def headline(summary: dict[str, Any]) -> float:
 def run(config: Settings, folder: RunFolder, stop: Stop, began: float) -> dict[str, Any]:
     """The job from configuration to table; the folder says at any time what has become of it."""
     seeds, begin = planned(config)
-    torch.set_num_threads(config.compute.threads)
     folder.begin(config, seeds)
+    with folder.lock.held():
+        return carry_out(begin, config, folder, stop, began, Console())
+
+
+def carry_out(
+    begin: Begin,
+    config: Settings,
+    folder: RunFolder,
+    stop: Stop,
+    began: float,
+    console: Console,
+    checkpoint: Checkpoint | None = None,
+) -> dict[str, Any]:
+    """The same for a folder that is locked; checkpoint: where a run goes on that was begun
+    before."""
+    torch.set_num_threads(config.compute.threads)
     try:
         with _logging_to(folder.path):
             try:
-                summary = _done(begin, config, folder, stop, began)
+                summary = _done(begin, config, folder, stop, began, console, checkpoint)
             except Exception:
-                logger.exception("failed")
+                if folder.is_running:
+                    logger.exception("failed")
                 raise
-    except KeyboardInterrupt as error:
+    except (KeyboardInterrupt, SystemExit) as error:
         with stop.not_now():
-            folder.set_status("interrupted", "stopped by a signal; the state at that time is saved")
+            folder.end(*INTERRUPTED)
+        if isinstance(error, SystemExit):
+            raise
         raise Interrupted(f"saved in {folder.path}") from error
     except BaseException as error:
         with stop.not_now(), contextlib.suppress(OSError):
-            folder.set_status("failed", f"{type(error).__name__}: {error}")
+            folder.end("failed", f"{type(error).__name__}: {error}")
         raise
     with stop.not_now():
-        folder.set_status("done")
+        folder.end("done")
     if stop.asked:
         raise Interrupted(f"the run in {folder.path} is complete")
     return summary

@@ -24,7 +24,6 @@ HOW_NOT_WHAT = (
     "seeds",
     "debug",
     "log",
-    "sweep",
     "compute.threads",
     "compute.native",
     "domain.workers",

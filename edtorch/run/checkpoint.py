@@ -1,15 +1,11 @@
-"""Saving and loading: whole populations, and single policies.
-
-A population is saved with everything that its future depends on; its random numbers need no saving,
-being a function of (seed, tick).  Files are written beside their place and moved there, so that no
-reader ever sees half of one.
+"""Files of a run: written beside their place and moved there, so that no reader ever sees half of
+one; and those of policies.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import pickle
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -20,9 +16,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from edtorch.renamed import current_component
-from edtorch.run.tick import Experience
-from edtorch.run.training import Training
-from edtorch.types import LearnerState, Parameters
+from edtorch.types import Parameters
 
 
 class FileProblem(ValueError):
@@ -30,62 +24,35 @@ class FileProblem(ValueError):
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Call ``write`` with a path beside ``path``, then move the result into place."""
+    """Call ``write`` with a path beside ``path``, then move the result into place.
+
+    Whatever happens to the process or the machine, ``path`` is what it was or what it is to be.
+    """
     partial = path.with_name(f".{path.name}.partial")
     try:
         write(partial)
+        sync(partial)
         os.replace(partial, path)
+        sync(path.parent)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def sync(path: Path) -> None:
+    """Have the disk hold what was written to a file, or which files a folder has."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except PermissionError:
+        return  # Windows opens no folders, and needs no sync of them
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically."""
     write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8"))
-
-
-def _flat(record: LearnerState | Experience) -> dict[str, object]:
-    return {f.name: getattr(record, f.name) for f in fields(record)}
-
-
-def save_training(path: Path, training: Training) -> None:
-    """Save the population: what each learner knows, where its world stands, the tick."""
-    content = {
-        "seeds": training.seeds,
-        "clock": training.clock,
-        "learners": _flat(training.learners),
-        "worlds": _flat(training.worlds),
-        "finite": training.finite,
-    }
-    write_atomically(path, lambda partial: torch.save(content, partial))
-
-
-def load_training(path: Path, training: Training) -> None:
-    """Put a saved population into ``training``, which must have the same seeds and sizes.
-
-    Records of finished episodes and the trail of states are not part of it.  Raises FileProblem.
-    """
-    try:
-        content = torch.load(path, weights_only=True)
-        seeds, learners, worlds = content["seeds"], content["learners"], content["worlds"]
-    except (
-        OSError,
-        RuntimeError,
-        pickle.UnpicklingError,
-        EOFError,
-        LookupError,
-        TypeError,
-    ) as error:
-        raise FileProblem(f"{path}: not a saved population") from error
-    if seeds != training.seeds:
-        raise FileProblem(f"{path}: saved for seeds {seeds}, expected {training.seeds}")
-    wanted = {name: tuple(p.shape) for name, p in training.learners.model.items()}
-    found = {name: tuple(p.shape) for name, p in learners["model"].items()}
-    if wanted != found:
-        raise FileProblem(f"{path}: model weights are {found}, this configuration has {wanted}")
-    training.restore(
-        LearnerState(**learners), Experience(**worlds), content["clock"], content["finite"]
-    )
 
 
 @dataclass(frozen=True)

@@ -45,9 +45,7 @@ class Episode:
     row: the learner's place in the population; start: simulated seconds of learning before it;
     seconds: its length; measures: the sim's own figures of it; total_reward: its return, the
     environment's summed reward where it has one, else the sum over time of the configured reward in
-    physical units, NaN where there is neither; success: None where the domain knows none; trail:
-    first and last index (exclusive) of its states in the ``Trail``, both 0 for learners that leave
-    none.
+    physical units, NaN where there is neither; success: None where the domain knows none.
     """
 
     row: int
@@ -56,7 +54,6 @@ class Episode:
     seconds: float
     outcome: Outcome
     measures: dict[str, float]
-    trail: tuple[int, int] = (0, 0)
     total_reward: float = math.nan
     success: bool | None = None
 
@@ -99,6 +96,18 @@ def episodes_of(state: Mapping[str, Any]) -> list[Episode]:
             zip(*columns, strict=True)
         )
     ]
+
+
+def nested_state(episodes: Sequence[Sequence[Episode]]) -> dict[str, Any]:
+    """``episodes_state`` of several lists at once."""
+    together = [e for own in episodes for e in own]
+    return {"lengths": [len(own) for own in episodes], "together": episodes_state(together)}
+
+
+def nested_of(state: Mapping[str, Any]) -> list[list[Episode]]:
+    """The lists that ``nested_state`` was made of."""
+    together = iter(episodes_of(state["together"]))
+    return [[next(together) for _ in range(length)] for length in state["lengths"]]
 
 
 @dataclass(frozen=True)

@@ -11,16 +11,23 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from edtorch.run.checkpoint import FileProblem
 from edtorch.run.episodes import Episode
+from sims.base import Outcome
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
+
+
+EPISODES = "episodes.csv"
+EVENTS = "events.out.tfevents.*"
+"""TensorBoard's event files: one for each process that wrote to the folder."""
 
 
 def summary_writer(folder: Path) -> SummaryWriter:
@@ -55,6 +62,10 @@ class Sink(Protocol):
         """One entry more."""
         ...
 
+    def flush(self) -> Sequence[Path]:
+        """Have the files hold what was written; returns those that are only ever appended to."""
+        ...
+
     def close(self) -> None:
         """Nothing more will come."""
         ...
@@ -74,7 +85,10 @@ def median_known(values: Sequence[float]) -> float:
 class CsvSink:
     """``metrics.csv`` with these columns; with ``measures``, the names of the sim's own, also
     ``episodes.csv``: a row per episode, with its return and whether it was a success; empty where
-    there is none."""
+    there is none.  Files that are there are continued.
+
+    The numbers of ``episodes.csv`` are exact: ``read_episodes`` gives the episodes back.
+    """
 
     EPISODES = ("seed", "episode", "start_s", "seconds", "outcome", "return", "success")
 
@@ -82,12 +96,11 @@ class CsvSink:
         self, folder: Path, columns: Sequence[str], measures: Sequence[str] | None = None
     ) -> None:
         self._measures = [] if measures is None else list(measures)
-        self._metrics = (folder / "metrics.csv").open("w", newline="", encoding="utf-8")
-        csv.writer(self._metrics).writerow(columns)
+        self._metrics = _continued(folder / "metrics.csv", columns)
         self._episodes = None
         if measures is not None:
-            self._episodes = (folder / "episodes.csv").open("w", newline="", encoding="utf-8")
-            csv.writer(self._episodes).writerow((*self.EPISODES, *measures))
+            header = (*self.EPISODES, *measures)
+            self._episodes = _continued(folder / EPISODES, header)
 
     def write(self, entry: Entry) -> None:
         """Append the rows."""
@@ -101,19 +114,71 @@ class CsvSink:
         return (
             seed,
             e.number,
-            f"{e.start:.6g}",
-            f"{e.seconds:.6g}",
+            _exact(e.start),
+            _exact(e.seconds),
             e.outcome.name.lower(),
-            _plain(e.total_reward),
+            _exact(e.total_reward),
             "" if e.success is None else int(e.success),
-            *(_plain(e.measures[name]) for name in self._measures),
+            *(_exact(e.measures[name]) for name in self._measures),
         )
+
+    def flush(self) -> Sequence[Path]:
+        """See ``Sink``."""
+        files = [file for file in (self._metrics, self._episodes) if file is not None]
+        for file in files:
+            file.flush()
+        return [Path(file.name) for file in files]
 
     def close(self) -> None:
         """Close the files."""
         self._metrics.close()
         if self._episodes is not None:
             self._episodes.close()
+
+
+def _continued(path: Path, header: Sequence[str]) -> TextIO:
+    """The file, to append to; with its header if it is a new one."""
+    file = path.open("a", newline="", encoding="utf-8")
+    if file.tell() == 0:
+        csv.writer(file).writerow(header)
+    return file
+
+
+def read_episodes(path: Path, seeds: Sequence[int]) -> list[Episode]:
+    """The episodes in an ``episodes.csv``, as they were when the rows were written.
+
+    Raises FileProblem for another file.
+    """
+    row_of = {seed: row for row, seed in enumerate(seeds)}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [
+                Episode(
+                    row=row_of[int(row["seed"])],
+                    number=int(row["episode"]),
+                    start=float(row["start_s"]),
+                    seconds=float(row["seconds"]),
+                    outcome=Outcome[row["outcome"].upper()],
+                    measures={k: _number(v) for k, v in row.items() if k not in CsvSink.EPISODES},
+                    total_reward=_number(row.get("return", "")),
+                    success=None if not row.get("success") else bool(int(row["success"])),
+                )
+                for row in csv.DictReader(file)
+            ]
+    except (LookupError, ValueError, AttributeError, TypeError) as error:
+        raise FileProblem(f"{path}: cannot be read as the episodes of a run ({error!r})") from error
+
+
+def _number(text: str) -> float:
+    return float(text) if text else math.nan
+
+
+def _exact(value: float) -> str:
+    """The shortest of a few texts that gives the number back; empty for NaN."""
+    if math.isnan(value):
+        return ""
+    short = f"{value:.9g}"
+    return short if float(short) == value else repr(float(value))
 
 
 def _plain(value: float | str) -> str | int:
@@ -126,8 +191,11 @@ class TensorBoardSink:
     """The scalars, and ``writer`` for all else; config_text: the settings."""
 
     def __init__(self, folder: Path, config_text: str) -> None:
+        is_new = not list(folder.glob(EVENTS))
+        self._folder = folder
         self.writer = summary_writer(folder)
-        self.writer.add_text("config", f"```yaml\n{config_text}\n```")
+        if is_new:
+            self.writer.add_text("config", f"```yaml\n{config_text}\n```")
 
     def write(self, entry: Entry) -> None:
         """Append the scalars."""
@@ -146,6 +214,11 @@ class TensorBoardSink:
             writer.add_summary(summary)
         for name, value in results.items():
             self.writer.add_scalar(name, value)
+
+    def flush(self) -> Sequence[Path]:
+        """See ``Sink``."""
+        self.writer.flush()
+        return sorted(self._folder.glob(EVENTS))
 
     def close(self) -> None:
         """Flush and close."""
@@ -176,6 +249,10 @@ class ConsoleSink:
         elif now - self._last_printed >= self._quiet:
             self._last_printed = now
             self._console.print(entry.line, soft_wrap=True, highlight=False)
+
+    def flush(self) -> Sequence[Path]:
+        """It writes no files."""
+        return ()
 
     def close(self) -> None:
         """Leave the terminal as it was."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import dataclass
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -104,6 +106,15 @@ class Recorder:
         self._file.flush()
         self._ticks += self._waiting
         self._waiting = 0
+
+    def flushed_to(self, path: Path) -> Path:
+        """Have the file at ``path`` hold all; a copy where the ticks go to another file."""
+        self.flush()
+        if self._file.name != str(path):
+            self._file.seek(0)
+            with path.open("wb") as copy:
+                shutil.copyfileobj(self._file, copy)
+        return path
 
     def lived(self, row: int) -> Lived:
         """Of one learner."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -33,3 +36,17 @@ class Trail:
         first = max(first, self.position(row) - self.capacity)
         index = torch.arange(first, max(first, last)) % self.capacity
         return self._ring[index.to(self._ring.device), row].cpu()
+
+    def state(self) -> dict[str, Any]:
+        """What has been added."""
+        return {"ring": self._ring, "count": self._count}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what another one of the same sizes has; ValueError for one of other sizes."""
+        if state["ring"].shape != self._ring.shape:
+            raise ValueError(
+                f"trail: has the shape {list(state['ring'].shape)}, expected"
+                f" {list(self._ring.shape)}"
+            )
+        self._ring.copy_(state["ring"])
+        self._count.copy_(state["count"])

@@ -5,11 +5,10 @@ Nothing here writes or prints: the caller of the loop asks it for snapshots and 
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import replace as with_fields
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -24,6 +23,7 @@ from edtorch.run.scaled_sim import World
 from edtorch.run.success import settled
 from edtorch.run.tick import Experience, Population, Tick
 from edtorch.run.trail import Trail
+from edtorch.run.trees import tensors_of, with_tensors
 from edtorch.types import LearnerState, replace
 
 WATCHED = 16
@@ -166,9 +166,9 @@ class Training:
     """A population of learners, each in its own world, learning in lockstep.
 
     seeds: one per learner; learner k draws from the stream of its seed alone, so that it does the
-    same in any population.  ``advance`` runs ticks; ``learners``, ``worlds`` and ``clock`` are the
-    whole state (``edtorch.run.checkpoint`` saves them).  recorder: keeps every transition, as long
-    as ``stage`` is the one of the beginning.
+    same in any population.  ``advance`` runs ticks; ``state`` and ``episodes`` are all that the
+    future depends on.  recorder: keeps every transition, as long as ``stage`` is the one of the
+    beginning.
     """
 
     def __init__(
@@ -196,7 +196,6 @@ class Training:
         watched = first.worlds.world[:WATCHED]
         self.trail = Trail(watched, trail_stride, world.limit_ticks // trail_stride + 2)
         self.trail.extend(watched.unsqueeze(0), first.worlds.active[:WATCHED].unsqueeze(0))
-        self._trail_start = [0] * self.trail.size
         self._last_tick = (
             None if budget.seconds is None else max(1, round(budget.seconds / world.dt))
         )
@@ -234,18 +233,37 @@ class Training:
         """Episodes and failures of a learner so far."""
         return int(self.worlds.episodes[row]), int(self.worlds.failures[row])
 
-    def restore(
-        self, learners: LearnerState, worlds: Experience, clock: int, finite: Tensor
-    ) -> None:
-        """Go on from what another ``Training`` of the same seeds has reached."""
-        tally = replace(self.stage.population.tally, finite=finite.T)
-        self.stage.replace(Population(learners, worlds, tally))
-        self.clock = clock
+    def state(self) -> dict[str, Any]:
+        """Everything that the future depends on, but for the finished episodes."""
+        return {
+            "seeds": self.seeds,
+            "clock": self.clock,
+            "population": tensors_of(self.stage.population),
+            "trail": self.trail.state(),
+            "lost_episodes": list(self.lost_episodes),
+            "memory": self.world.memory(),
+        }
+
+    def restore(self, state: Mapping[str, Any], episodes: Sequence[Episode]) -> None:
+        """Go on from what another ``Training`` of the same settings has reached.
+
+        episodes: those finished until then.  Raises ValueError where the state is that of another
+        population.
+        """
+        if state["seeds"] != self.seeds:
+            raise ValueError(f"seeds: the state has {state['seeds']}, expected {self.seeds}")
+        population = with_tensors(self.stage.population, state["population"])
+        world = self.world.recall(population.worlds.world, state["memory"])
+        self.stage.replace(replace(population, worlds=replace(population.worlds, world=world)))
+        self.clock = state["clock"]
+        self.trail.restore(state["trail"])
+        self.lost_episodes = list(state["lost_episodes"])
+        self._episodes = list(episodes)
 
     @property
     def done(self) -> bool:
         """Whether every learner has used up its budget."""
-        return self.stage.done
+        return self.clock == self._last_tick or self.stage.done
 
     @property
     def seconds(self) -> float:
@@ -262,37 +280,16 @@ class Training:
         began = self.clock
         if ahead > 0 and not self.done:
             self.clock += self.stage.run(began, ahead, self.trail.stride, self._note)
-        if self.clock == self._last_tick:
-            population = self.stage.population
-            stopped = torch.zeros_like(population.worlds.active)
-            self.stage.replace(
-                replace(population, worlds=replace(population.worlds, active=stopped))
-            )
         return self.clock - began
 
     def _note(self, passed: TrailPoints | None, ended: EndedEpisodes | None) -> None:
         """Add to trail and episodes what happened."""
-        trails = [] if ended is None else self._cut(passed, ended)
         if passed is not None:
             self.trail.extend(passed.world, passed.active)
         if ended is not None:
-            self._record(ended, trails)
+            self._record(ended)
 
-    def _cut(self, passed: TrailPoints | None, ended: EndedEpisodes) -> list[tuple[int, int]]:
-        """Where in the trail each of the episodes is; passed: what is to be added to it."""
-        found = []
-        for clock, row in zip(ended.clocks, ended.rows, strict=True):
-            if row >= self.trail.size:
-                found.append((0, 0))
-                continue
-            last = self.trail.position(row)
-            if passed is not None:
-                last += int(passed.active[: bisect_right(passed.clocks, clock), row].sum())
-            found.append((self._trail_start[row], last))
-            self._trail_start[row] = last
-        return found
-
-    def _record(self, ended: EndedEpisodes, trails: Sequence[tuple[int, int]]) -> None:
+    def _record(self, ended: EndedEpisodes) -> None:
         ticks = [clock - first for clock, first in zip(ended.clocks, ended.begun, strict=True)]
         found = finished(
             self.world,
@@ -302,16 +299,22 @@ class Training:
             ended.outcome,
             ended.earned,
         )
-        for episode, row, number, first, trail in zip(
-            found, ended.rows, ended.numbers, ended.begun, trails, strict=True
+        for episode, row, number, first in zip(
+            found, ended.rows, ended.numbers, ended.begun, strict=True
         ):
             if episode is None:
                 self.lost_episodes[row] += 1
                 continue
             start = first * self.world.dt
-            self._episodes.append(
-                with_fields(episode, row=row, number=number, start=start, trail=trail)
-            )
+            self._episodes.append(with_fields(episode, row=row, number=number, start=start))
+
+    def path(self, episode: Episode) -> Tensor:
+        """States of an episode of one of the first learners, ``[T, k]``, as far as the trail still
+        has them."""
+        begun, ticks = (round(t / self.world.dt) for t in (episode.start, episode.seconds))
+        # The trail has a state before the first tick, and those of every stride-th one.
+        first = 0 if begun == 0 else 1 + begun // self.trail.stride
+        return self.trail.states(episode.row, first, 1 + (begun + ticks) // self.trail.stride)
 
     def snapshot(self) -> Snapshot:
         """The population now; the means begin anew."""
@@ -322,7 +325,7 @@ class Training:
         return Snapshot(
             seconds=self.seconds,
             seeds=self.seeds,
-            active=here.active.tolist(),
+            active=(here.active & (self.clock != self._last_tick)).tolist(),
             episodes=here.episodes.tolist(),
             failures=here.failures.tolist(),
             successes=here.successes.tolist(),

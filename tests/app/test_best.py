@@ -18,7 +18,7 @@ ENDS = {True: Outcome.SUCCEEDED, False: Outcome.FAILED, None: Outcome.TIMED_OUT}
 def _episodes(*returns: float, ends: tuple[bool | None, ...] = ()) -> list[Episode]:
     """By default all come to the time limit, of which nothing is known."""
     return [
-        Episode(0, k, 0.0, 2.0, ENDS[end], {"error_rad": -total}, (0, 0), total, end)
+        Episode(0, k, 0.0, 2.0, ENDS[end], {"error_rad": -total}, total, end)
         for k, (total, end) in enumerate(zip(returns, ends or (None,) * len(returns), strict=True))
     ]
 

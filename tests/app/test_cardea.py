@@ -18,8 +18,8 @@ from safetensors.torch import load_file
 pytest.importorskip("pybullet", reason="the extra [cardea] is not installed: no PyBullet")
 
 from edtorch.app.build import build
+from edtorch.app.checkpoints import last_checkpoint
 from edtorch.app.rundir import load_config
-from edtorch.run.checkpoint import load_training
 from edtorch.run.training import Training
 from sims.cardea import cardea
 from sims.workers import Workers
@@ -75,9 +75,11 @@ def test_summary_figure_and_pictures(run: Path) -> None:
 def test_a_run_goes_on_from_its_checkpoint_and_is_evaluated(run: Path, command: Command) -> None:
     setup = build(load_config(run))
     restored, anew = (
-        Training(setup.learner, setup.world, setup.seeds, setup.budget) for _ in range(2)
+        Training(setup.learner, setup.world, setup.seeds, setup.budget, 1) for _ in range(2)
     )
-    load_training(run / "checkpoint.pt", restored)
+    checkpoint = last_checkpoint(run)
+    assert checkpoint is not None
+    restored.restore(checkpoint.state["work"]["training"], [])
     anew.advance(300)
     assert restored.clock == anew.clock == 300
     for name in ("model", "policy", "fit", "step"):

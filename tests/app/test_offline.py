@@ -49,7 +49,7 @@ LEARN = (
     "log.tensorboard=false",
 )
 FILES = {
-    "checkpoint.pt",
+    "checkpoints",
     "config.yaml",
     "episodes.csv",
     "metrics.csv",
@@ -104,7 +104,7 @@ def test_tensorboard_has_the_settings(recorded: Path, quick_command: Command) ->
 
 @pytest.mark.experiment
 def test_the_recording_is_of_the_run(recorded: Path) -> None:
-    assert {p.name for p in recorded.iterdir()} == FILES | {"transitions.npz"}
+    assert {p.name for p in recorded.iterdir()} == FILES | {"transitions.npz", "transitions.part"}
     summary = _json(recorded / "summary.json")
     falls = summary["falls_before_first_ride"]["per_seed"]
     with np.load(recorded / "transitions.npz") as file:
@@ -155,8 +155,11 @@ class Reports:
     def take(self, entry: Entry) -> None:
         self.entries.append(dataclasses.replace(entry, line=""))  # which tells the wall time
 
-    def pause(self) -> None:
+    def whole(self) -> None:
         self.states.append((len(self.entries), self.work.state()))
+
+    def keep(self) -> None:
+        """The test takes the states itself."""
 
 
 @pytest.mark.experiment
@@ -169,7 +172,7 @@ def test_it_goes_on_from_a_state_with_the_same_reports(tmp_path: Path) -> None:
     config = compose([*LEARN, "seed=1", *settings, "train.seconds=null"])
 
     def run(state: dict[str, Any] | None) -> Reports:
-        work = planned(config)[1]()
+        work = planned(config)[1](None)
         assert isinstance(work, RecordedLearners)
         if state is not None:
             work.restore(state, tmp_path)

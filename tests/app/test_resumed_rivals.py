@@ -51,6 +51,12 @@ class _Job:
         if self._ends(self.entries):
             raise _Broken
 
+    def whole(self) -> None:
+        self.pause()
+
+    def keep(self) -> None:
+        """The test takes the state itself."""
+
     @contextlib.contextmanager
     def evaluation(self) -> Iterator[None]:
         yield

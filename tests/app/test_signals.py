@@ -17,9 +17,9 @@ from safetensors.torch import load_file
 
 from edtorch.app import learners
 from edtorch.app.build import build
+from edtorch.app.checkpoints import last_checkpoint
 from edtorch.app.rundir import load_config
 from edtorch.app.signals import SIGNALS, Stop
-from edtorch.run.checkpoint import load_training
 from edtorch.run.training import Training
 
 Start = Callable[..., subprocess.Popen[str]]
@@ -62,7 +62,9 @@ def test_signal_in_mid_run(
     assert status["status"] == "interrupted"
     setup = build(load_config(folder))
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
-    load_training(folder / "checkpoint.pt", training)
+    checkpoint = last_checkpoint(folder)
+    assert checkpoint is not None
+    training.restore(checkpoint.state["work"]["training"], [])
     assert training.clock > 100
     (saved,) = load_file(folder / "policy.safetensors").values()
     assert torch.equal(saved, next(iter(training.learners.policy.values())))
@@ -89,7 +91,9 @@ def test_an_interrupted_run_can_be_evaluated_and_ends_after_a_whole_tick(
     assert json.loads((folder / "status.json").read_text())["status"] == "interrupted"
     setup = build(load_config(folder))
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
-    load_training(folder / "checkpoint.pt", training)
+    checkpoint = last_checkpoint(folder)
+    assert checkpoint is not None
+    training.restore(checkpoint.state["work"]["training"], [])
     seconds = training.clock * setup.world.dt
     command("edtorch-train", *options, f"train.seconds={seconds}", "hydra.run.dir=whole")
     cut, whole = (load_file(workplace / n / "policy.safetensors") for n in ("cut", "whole"))

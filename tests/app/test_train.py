@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.hparams.metadata import PLUGIN_NAME as HPARAMS
 
 from edtorch.app.build import build
+from edtorch.app.checkpoints import last_checkpoint
 from edtorch.app.rundir import load_config
-from edtorch.run.checkpoint import load_training
 from edtorch.run.training import Training
 
 Command = Callable[..., Any]
@@ -34,7 +33,7 @@ SPREADS = (
 )
 SECONDS = ("wall_s", "cpu_s", "ticks_per_cpu_s", "startup_s", "eval_s", "figures_s")
 FILES = {
-    "checkpoint.pt",
+    "checkpoints",
     "config.yaml",
     "episodes.csv",
     "learning_curve.png",
@@ -173,7 +172,9 @@ def test_another_seed_learns_something_else(finished: Path) -> None:
 def test_the_checkpoint_is_the_last_tick(finished: Path) -> None:
     setup = build(load_config(finished))
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
-    load_training(finished / "checkpoint.pt", training)
+    checkpoint = last_checkpoint(finished)
+    assert checkpoint is not None
+    training.restore(checkpoint.state["work"]["training"], [])
     assert training.clock == 1200
     (weight,) = load_file(finished / "policy.safetensors").values()
     assert torch.equal(next(iter(training.learners.policy.values())), weight)
@@ -270,15 +271,16 @@ def test_sweep(command: Command, workplace: Path, quick: tuple[str, ...]) -> Non
 
 
 def test_bad_job_of_a_sweep(command: Command, workplace: Path, quick: tuple[str, ...]) -> None:
-    """It is named as the user named it, and the others are done."""
+    """What the jobs before it did stays; its own folder does not."""
     result = command(
-        "edtorch-train", "-m", *quick, "noise.exploration=-1,0.02", "hydra.sweep.dir=s"
+        "edtorch-train", "-m", *quick, "noise.exploration=0.02,-1", "hydra.sweep.dir=s"
     )
     assert result.status == 1
-    why = "noise.exploration=-1.0: expected a finite number >= 0"
-    assert _json(workplace / "s/0/status.json") == {"status": "failed", "why": why}
-    assert f"edtorch-train: {workplace / 's/0'}: {why}" in result.err.splitlines()
-    assert _json(workplace / "s" / "1" / "status.json")["status"] == "done"
+    assert result.err.splitlines()[-1] == (
+        "edtorch-train: noise.exploration=-1.0: expected a finite number >= 0"
+    )
+    assert _json(workplace / "s" / "0" / "status.json")["status"] == "done"
+    assert not (workplace / "s" / "1").exists()
 
 
 def test_evaluation_of_a_run(
@@ -320,17 +322,3 @@ def test_hydra_s_own_options(
     assert result.status == 0
     assert wanted in result.out
     assert list(workplace.iterdir()) == []
-
-
-@pytest.mark.experiment
-def test_paths_are_relative_to_where_the_command_was_called(
-    start: Callable[..., subprocess.Popen[str]], workplace: Path, patience: float
-) -> None:
-    process = start(
-        "edtorch-train",
-        *("experiment=bicycle_offline", "offline.data=data.npz", "hydra.job.chdir=true"),
-    )
-    (workplace / "data.npz").write_bytes(b"not a file of arrays")
-    _, err = process.communicate(timeout=patience)
-    assert process.returncode == 1
-    assert "data.npz: cannot be read as an .npz file of arrays" in err

@@ -41,7 +41,7 @@ def native(training: Training, **how: Any) -> Training:
 
 def lives(training: Training) -> list[tuple[Any, ...]]:
     """Every episode, without its figures."""
-    return [(e.row, e.number, e.start, e.seconds, e.outcome, e.trail) for e in training.episodes]
+    return [(e.row, e.number, e.start, e.seconds, e.outcome) for e in training.episodes]
 
 
 def farthest(found: Training, wanted: Training) -> dict[str, float]:

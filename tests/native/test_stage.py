@@ -104,7 +104,7 @@ def test_compiled_ticks_are_the_same_ticks(kind: str, seeds: int, least: int) ->
         assert found.success == wanted.success
         assert found.measures == pytest.approx(wanted.measures, rel=1e-9, nan_ok=True)
         if found.row < together.trail.size:
-            kept = [t.trail.states(found.row, *found.trail) for t in (together, eager)]
+            kept = [t.path(found) for t in (together, eager)]
             assert torch.allclose(*kept, rtol=1e-9, atol=1e-9)
 
 

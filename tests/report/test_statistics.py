@@ -36,9 +36,7 @@ def _episodes(
     late = {FELL: False, RODE: True, LATE: survival}
     for number, (seconds, outcome) in enumerate(ends):
         success = None if survival is None else late[outcome]
-        episodes.append(
-            Episode(row, number, start, seconds, outcome, measures, (0, 0), returns, success)
-        )
+        episodes.append(Episode(row, number, start, seconds, outcome, measures, returns, success))
         start += seconds
     return episodes
 

@@ -10,67 +10,16 @@ from typing import Any
 import pytest
 import torch
 
-from edtorch.model.fit import RecursiveLeastSquares
 from edtorch.run.checkpoint import (
     FileProblem,
     PolicyCard,
     load_policy,
-    load_training,
     save_policy,
-    save_training,
     write_text,
 )
-from edtorch.run.episodes import Budget
-from tests.systems import bicycle_training
 
 CARD = PolicyCard("bicycle", ["lean"], ["torque"], [0.2, 2.0], "LinearPolicy(Identity)", [0, 1])
 SHAPES = {"weight": (1, 1)}
-
-
-def test_interrupted_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
-    budget = Budget(seconds=8.0)
-
-    def fresh():
-        return bicycle_training([0, 1], budget, fit=RecursiveLeastSquares())
-
-    whole, first, second = fresh(), fresh(), fresh()
-    whole.advance(800)
-    first.advance(333)
-    save_training(tmp_path / "saved.pt", first)
-    load_training(tmp_path / "saved.pt", second)
-    second.advance(800 - 333)
-    assert second.clock == whole.clock
-    for name in ("model", "policy", "fit"):
-        mine, theirs = getattr(second.learners, name), getattr(whole.learners, name)
-        assert all(torch.equal(mine[k], theirs[k]) for k in theirs)
-    assert torch.equal(second.worlds.world, whole.worlds.world)
-    assert second.worlds.failures.tolist() == whole.worlds.failures.tolist()
-    # Nothing is left beside the file.
-    assert os.listdir(tmp_path) == ["saved.pt"]
-
-
-def test_learners_that_were_done_go_on_waiting(tmp_path: Path) -> None:
-    budget = Budget(seconds=20.0, episodes=3)
-    first, second = (bicycle_training([0, 1, 2], budget) for _ in range(2))
-    while bool(first.worlds.active.all()):
-        first.advance(1)
-    save_training(tmp_path / "saved.pt", first)
-    load_training(tmp_path / "saved.pt", second)
-    waiting = int((~first.worlds.active).nonzero()[0])
-    before = second.worlds.world[waiting].clone()
-    second.advance(50)
-    assert torch.equal(second.worlds.world[waiting], before)
-    first.advance(50)
-    assert torch.equal(second.worlds.world, first.worlds.world)
-
-
-def test_a_population_is_not_loaded_into_another(tmp_path: Path) -> None:
-    save_training(tmp_path / "saved.pt", bicycle_training([0, 1], Budget(seconds=1.0)))
-    with pytest.raises(FileProblem, match=r"seeds \[0, 1\], expected \[0, 2\]"):
-        load_training(tmp_path / "saved.pt", bicycle_training([0, 2], Budget(seconds=1.0)))
-    (tmp_path / "broken.pt").write_bytes(b"no archive")
-    with pytest.raises(FileProblem, match="not a saved population"):
-        load_training(tmp_path / "broken.pt", bicycle_training([0, 1], Budget(seconds=1.0)))
 
 
 def test_policies_come_back_as_they_went(tmp_path: Path) -> None:

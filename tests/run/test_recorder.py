@@ -90,14 +90,14 @@ def test_a_file_is_gone_on_with(tmp_path: Path) -> None:
         training.advance(333)
         recorder.flush()
         kept = recorder.size
-        state = training.learners, training.worlds, training.clock, training.finite
+        state, episodes = training.state(), training.episodes
         training.advance(300)
         recorder.flush()
     with halves.open("r+b") as file:
         file.truncate(kept)
         training, recorder = _training(8.0, file)
         assert recorder.ticks == 333
-        training.restore(*state)
+        training.restore(state, episodes)
         training.advance(800 - 333)
         again = recorder.lived(1)
     assert halves.read_bytes() == whole.read_bytes()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 from typing import ClassVar
 
 import pytest
@@ -19,7 +20,9 @@ from edtorch.rewards import QuadraticReward
 from edtorch.run.episodes import Budget
 from edtorch.run.evaluation import evaluate
 from edtorch.run.scaled_sim import World
+from edtorch.run.state_file import load_state, save_state
 from edtorch.run.training import Training
+from edtorch.run.trees import tensors_of
 from edtorch.transform import SecondOrder
 from edtorch.types import Parameters
 from edtorch.value.choose import choose_path
@@ -149,13 +152,12 @@ def test_episodes_follow_one_another_without_gaps() -> None:
         assert [e.number for e in own] == list(range(len(own)))
         for before, after in itertools.pairwise(own):
             assert after.start == pytest.approx(before.start + before.seconds)
-            assert after.trail[0] == before.trail[1]
 
 
 def test_the_trail_holds_the_states_of_an_episode() -> None:
     training = run(bicycle_training([5], Budget(episodes=3)))
     last = training.episodes[-1]
-    states = training.trail.states(0, *last.trail)
+    states = training.path(last)
     assert abs(states.shape[0] - last.seconds / 0.1) <= 1
     # The bicycle rides at 10 km/h: its front tyre moves v dt a tick.
     moved = (states[1:, 6:8] - states[:-1, 6:8]).norm(dim=-1)
@@ -184,3 +186,60 @@ def test_the_learner_learns_to_ride() -> None:
     fresh = evaluate(policy, parameters, World(sim), [0, 1], 20)
     ridden = [e for own in fresh for e in own if e.outcome is Outcome.TIMED_OUT]
     assert len(ridden) >= 36
+
+
+def test_interrupted_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
+    budget = Budget(seconds=8.0)
+
+    def fresh():
+        return bicycle_training([0, 1], budget, fit=RecursiveLeastSquares())
+
+    whole, first, second = fresh(), fresh(), fresh()
+    whole.advance(800)
+    first.advance(333)
+    save_state(tmp_path / "saved.safetensors", first.state())
+    second.restore(load_state(tmp_path / "saved.safetensors"), first.episodes)
+    second.advance(800 - 333)
+    assert second.clock == whole.clock
+    one, other = (tensors_of(t.stage.population) for t in (second, whole))
+    assert all(torch.equal(one[name], other[name]) for name in other)
+    # Written out, since nan is not equal to itself.
+    assert repr(second.episodes) == repr(whole.episodes) and len(whole.episodes) > 0
+    last = [e for e in whole.episodes if e.row == 0][-1]
+    assert torch.equal(second.path(last), whole.path(last))
+    assert repr(second.snapshot()) == repr(whole.snapshot())
+
+
+def test_a_larger_budget_goes_on_from_the_end_of_a_smaller_one() -> None:
+    """With the digits of one that had been larger from the beginning."""
+    whole, longer = (bicycle_training([0, 1], Budget(seconds=6.0)) for _ in range(2))
+    shorter = bicycle_training([0, 1], Budget(seconds=2.5))
+    whole.advance(600)
+    assert shorter.advance(600) == 250 and shorter.done
+    longer.restore(shorter.state(), shorter.episodes)
+    assert not longer.done and longer.advance(600) == 350
+    one, other = (tensors_of(t.stage.population) for t in (longer, whole))
+    assert all(torch.equal(one[name], other[name]) for name in other)
+
+
+def test_learners_that_were_done_go_on_waiting() -> None:
+    budget = Budget(seconds=20.0, episodes=3)
+    first, second = (bicycle_training([0, 1, 2], budget) for _ in range(2))
+    while bool(first.worlds.active.all()):
+        first.advance(1)
+    second.restore(first.state(), first.episodes)
+    waiting = int((~first.worlds.active).nonzero()[0])
+    before = second.worlds.world[waiting].clone()
+    second.advance(50)
+    assert torch.equal(second.worlds.world[waiting], before)
+    first.advance(50)
+    assert torch.equal(second.worlds.world, first.worlds.world)
+
+
+def test_a_state_does_not_go_into_another_population() -> None:
+    state = bicycle_training([0, 1], Budget(seconds=1.0)).state()
+    with pytest.raises(ValueError, match=r"seeds: the state has \[0, 1\], expected \[0, 2\]"):
+        bicycle_training([0, 2], Budget(seconds=1.0)).restore(state, [])
+    other = bicycle_training([0, 1], Budget(seconds=1.0), fit=RecursiveLeastSquares())
+    with pytest.raises(ValueError, match=r"learners\.fit\."):
+        other.restore(state, [])
