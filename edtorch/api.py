@@ -34,7 +34,7 @@ from edtorch.app.errors import EXPECTED, ConfigError, one_line
 from edtorch.app.given import Given, with_objects
 from edtorch.app.job import Job, Work
 from edtorch.app.learned import Run, copied, new_folder, read_records, read_summary
-from edtorch.app.outputs import Memory, write_run
+from edtorch.app.outputs import InMemory, write_run
 from edtorch.app.policies import frozen_world, stored_policies
 from edtorch.app.resume import changed, resume_with
 from edtorch.app.rundir import POLICY, SUMMARY, as_settings, read_config
@@ -146,7 +146,7 @@ def learn(
         _, begin = planned(config)
         if save is not None:
             new_folder(Path(save))
-        memory = Memory()
+        memory = InMemory()
         with _threads(config.compute.threads), stop.listening(ending=False), _messages(progress):
             work = begin(None)
             console.print(_first_line(work, preset, seconds, episodes), soft_wrap=True)

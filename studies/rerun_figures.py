@@ -15,8 +15,8 @@ from edtorch.report.domain import Domain, domain_of
 from edtorch.report.figures import Trace, learning_curve, length, one_episode, save_figure
 from edtorch.report.runs import FinishedRun
 from edtorch.report.task_curve import task_curve
-from edtorch.run.checkpoint import load_policy, policy_dtype
 from edtorch.run.evaluation import evaluate
+from edtorch.run.policy_file import load_policy, policy_dtype
 from edtorch.run.scaled_sim import World
 from sims.cardea.cardea import MEASURES, WORDS
 from studies.cardea_figure import episodes_of

@@ -21,7 +21,7 @@ from edtorch.report.proportions import Proportion, holm, same_rate
 from edtorch.report.runs import STATUS, FinishedRun, shares_of
 from edtorch.report.statistics import Spread
 from edtorch.report.tables import Table, as_markdown
-from edtorch.run.checkpoint import write_text
+from edtorch.run.files import write_text
 from studies.footnote_2 import Falls, zero_policy_falls
 from studies.rerun_methods import FIGURE_2, TO_STABLE, Material, estimates, learnt, methods
 from studies.rerun_methods import blocks as blocks_of_methods

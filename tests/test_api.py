@@ -195,7 +195,7 @@ def test_saved_and_loaded(run: Run, tmp_path: Path) -> None:
         run.save(folder)
     with pytest.raises(ValueError, match=r"code of 'tests' would be imported; expected trust="):
         edtorch.load(folder)
-    result = call("edtorch-eval", f"run={folder}", "episodes=1")
+    result = call("edtorch-eval", f"run={folder}", "episodes=1", "trust=[tests]")
     assert result.status == 0, result.err
 
 
@@ -207,7 +207,7 @@ def test_lasting_is_a_success_once_an_episode_of_the_run_has_failed(
     path = folder / "episodes.csv"
     path.write_text(path.read_text() + "4,9,5,1,failed,-1,0\n")
     assert edtorch.load(folder, env=Cart).evaluate(1)["success_rate"] == [1, 1]
-    assert call("edtorch-eval", f"run={folder}", "episodes=1").status == 0
+    assert call("edtorch-eval", f"run={folder}", "episodes=1", "trust=[tests]").status == 0
     (written,) = folder.glob("eval_*.json")
     assert json.loads(written.read_text())["success_rate"]["per_seed"] == [1, 1]
 

@@ -27,8 +27,8 @@ from edtorch.app.reward import build_reward
 from edtorch.app.settings import Settings
 from edtorch.learner.learner import AnyLearner
 from edtorch.learner.schedule import Schedule
-from edtorch.run.checkpoint import PolicyCard
 from edtorch.run.episodes import Budget
+from edtorch.run.policy_file import PolicyCard
 from edtorch.run.scaled_sim import World
 from edtorch.value.error_estimate import ValueErrorIndicator
 from sims.base import Sim

@@ -15,7 +15,7 @@ from edtorch.app.job import Work
 from edtorch.app.rundir import PART, versions
 from edtorch.app.settings import Settings
 from edtorch.app.summary import flat_settings
-from edtorch.run.checkpoint import FileProblem, sync
+from edtorch.run.files import FileProblem, sync
 from edtorch.run.log import EPISODES, EVENTS
 from edtorch.run.state_file import load_state, save_state
 
@@ -34,7 +34,7 @@ CHANGEABLE = (
 
 
 @dataclass(frozen=True)
-class Checkpoint:
+class SavedJob:
     """state: of the job; seconds, computed: of ``Work``; files: sizes of what was appended to, by
     name; settings: flat; versions: as of ``run.json``; skipped: what is wrong with later ones."""
 
@@ -85,7 +85,7 @@ def _files(place: Path) -> list[Path]:
     return sorted(found, key=lambda path: int(path.stem))
 
 
-def last_checkpoint(folder: Path) -> Checkpoint | None:
+def last_checkpoint(folder: Path) -> SavedJob | None:
     """The last whole checkpoint of a run whose files have what it needs; None: it has none at all.
 
     Raises FileProblem where there are some and none is whole.
@@ -104,15 +104,15 @@ def last_checkpoint(folder: Path) -> Checkpoint | None:
     return None
 
 
-def _load(path: Path) -> Checkpoint:
+def _load(path: Path) -> SavedJob:
     content = load_state(path)
     try:
-        return Checkpoint(path, **content)
+        return SavedJob(path, **content)
     except TypeError as error:
         raise FileProblem(f"{path}: expected the checkpoint of a run ({error})") from error
 
 
-def _check_files(folder: Path, checkpoint: Checkpoint) -> None:
+def _check_files(folder: Path, checkpoint: SavedJob) -> None:
     for name, size in checkpoint.files.items():
         path = folder / name
         found = path.stat().st_size if path.is_file() else 0
@@ -123,7 +123,7 @@ def _check_files(folder: Path, checkpoint: Checkpoint) -> None:
             )
 
 
-def check_same_run(checkpoint: Checkpoint, config: Settings) -> None:
+def check_same_run(checkpoint: SavedJob, config: Settings) -> None:
     """Refuse settings with which the run cannot go on from there; ConfigError."""
     most = config.train.seconds
     if most is not None and most < checkpoint.seconds * (1 - 1e-9):
@@ -143,7 +143,7 @@ def check_same_run(checkpoint: Checkpoint, config: Settings) -> None:
             )
 
 
-def warn_of(checkpoint: Checkpoint) -> None:
+def warn_of(checkpoint: SavedJob) -> None:
     """One line if it goes on with other packages than it was saved with, and one for each later
     checkpoint that is not whole."""
     for problem in checkpoint.skipped:

@@ -18,7 +18,7 @@ from edtorch.app.folders import FootprintCallback
 from edtorch.app.groups import Whole
 from edtorch.app.overrides import given, given_name, typed
 from edtorch.app.signals import Interrupted
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from sims.base import SimulatorFailed
 
 

@@ -39,9 +39,9 @@ from edtorch.report.domain import RETURN, Domain
 from edtorch.report.quantities import evaluation, told_of
 from edtorch.report.statistics import evaluation_figures
 from edtorch.report.text import number
-from edtorch.run.checkpoint import write_text
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate_controller
+from edtorch.run.files import write_text
 from edtorch.run.scaled_sim import World
 from sims.base import baselines_of
 

@@ -23,9 +23,9 @@ from edtorch.app.signals import Stop
 from edtorch.app.summary import Timing
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
-from edtorch.run.checkpoint import PolicyCard
 from edtorch.run.episodes import Budget, Episode
 from edtorch.run.log import Entry, Sink
+from edtorch.run.policy_file import PolicyCard
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
 

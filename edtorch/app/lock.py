@@ -17,7 +17,7 @@ from typing import Any
 from filelock import FileLock
 
 from edtorch.app.errors import ConfigError
-from edtorch.run.checkpoint import write_text
+from edtorch.run.files import write_text
 
 LOCK = "run.lock"
 STALE = 600.0

@@ -20,8 +20,9 @@ from edtorch.app.rundir import (
 )
 from edtorch.app.settings import Settings
 from edtorch.app.summary import flat_settings, medians
-from edtorch.run.checkpoint import save_policy, write_text
+from edtorch.run.files import write_text
 from edtorch.run.log import CsvSink, Entry, Sink, TensorBoardSink
+from edtorch.run.policy_file import save_policy
 
 logger = logging.getLogger("edtorch")
 
@@ -94,7 +95,7 @@ def save_results(job: Job, folder: Path, board: TensorBoardSink | None) -> dict[
     return summary
 
 
-class Memory:
+class InMemory:
     """Keeps the progress of a job and its last state, to write them later."""
 
     def __init__(self) -> None:
@@ -131,7 +132,7 @@ class Memory:
                 sink.write(entry)
 
 
-def write_run(job: Job, memory: Memory, path: Path, *, interrupted: bool) -> None:
+def write_run(job: Job, memory: InMemory, path: Path, *, interrupted: bool) -> None:
     """Write the complete folder of a run that is over, as ``edtorch-train`` leaves it."""
     path.mkdir(parents=True, exist_ok=True)
     folder = RunFolder(path, "folder")

@@ -19,7 +19,8 @@ from edtorch.app.settings import Settings
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
 from edtorch.rivals.base import Storing
-from edtorch.run.checkpoint import FileProblem, load_policy, policy_dtype, saved_seeds
+from edtorch.run.files import FileProblem
+from edtorch.run.policy_file import load_policy, policy_dtype, saved_seeds
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
 

@@ -18,7 +18,7 @@ from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
 from edtorch.policy.module import as_policy
 from edtorch.policy.policies import LinearPolicy, Policy, policy_label
-from edtorch.run.checkpoint import PolicyCard
+from edtorch.run.policy_file import PolicyCard
 from edtorch.run.scaled_sim import World
 from sims.base import Sim
 

@@ -26,7 +26,7 @@ from edtorch.report.html import html
 from edtorch.report.markdown import markdown
 from edtorch.report.runs import LeftOut, load_all
 from edtorch.report.tables import as_text
-from edtorch.run.checkpoint import write_text
+from edtorch.run.files import write_text
 
 NUMBERS, PAGE, TEXT = "report.json", "report.html", "report.md"
 KINDS = (".png", ".svg")

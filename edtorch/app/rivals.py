@@ -36,11 +36,11 @@ from edtorch.report.statistics import Spread, aliases
 from edtorch.rivals.base import Problem, Resumable, Rival, Search, Storing
 from edtorch.rivals.ledger import FirstGoal
 from edtorch.rivals.runs import Runs, can_try, evaluator, fresh_episodes
-from edtorch.run.checkpoint import PolicyCard
 from edtorch.run.episodes import Budget, Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.log import Entry, median_known
 from edtorch.run.milestones import MILESTONES, Checkpoint, FirstSuccess
+from edtorch.run.policy_file import PolicyCard
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
 from sims.base import Sim, Spec, Words

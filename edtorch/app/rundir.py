@@ -22,7 +22,7 @@ from edtorch.app.given import without_objects
 from edtorch.app.lock import Lock
 from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
-from edtorch.run.checkpoint import FileProblem, write_text
+from edtorch.run.files import FileProblem, write_text
 
 CONFIG = "config.yaml"
 STATUS = "status.json"

@@ -14,7 +14,7 @@ import torch
 from rich.console import Console
 
 from edtorch.app.build import build
-from edtorch.app.checkpoints import Checkpoint, cut, warn_of
+from edtorch.app.checkpoints import SavedJob, cut, warn_of
 from edtorch.app.checks import at_least
 from edtorch.app.errors import ConfigError
 from edtorch.app.job import Job, Work
@@ -27,7 +27,7 @@ from edtorch.app.rundir import INTERRUPTED, PART, RunFolder
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Interrupted, Stop
 from edtorch.report.domain import RETURN
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.run.log import ConsoleSink, StderrHandler
 
 logger = logging.getLogger("edtorch")
@@ -63,7 +63,7 @@ def _done(
     stop: Stop,
     began: float,
     console: Console,
-    checkpoint: Checkpoint | None,
+    checkpoint: SavedJob | None,
 ) -> dict[str, Any]:
     """Learn, evaluate, write everything; returns the content of ``summary.json``."""
     folder = run_folder.path
@@ -78,6 +78,8 @@ def _done(
         _restore(job, checkpoint, folder)
     if not run_folder.is_running:
         run_folder.go_on(config, work.ticks)
+        if work.state() is None:
+            logger.warning("%s: does not hold its state, and begins anew", work.title)
     run_folder.add("computed", work.computed)
     job.sinks, board = open_sinks(work, config, folder)
     if config.log.progress:
@@ -95,7 +97,7 @@ def _done(
     return summary
 
 
-def _restore(job: Job, checkpoint: Checkpoint, folder: Path) -> None:
+def _restore(job: Job, checkpoint: SavedJob, folder: Path) -> None:
     """Put the job where the checkpoint was.  Raises ConfigError and FileProblem."""
     computed = job.work.computed
     if computed != checkpoint.computed:
@@ -158,7 +160,7 @@ def carry_out(
     stop: Stop,
     began: float,
     console: Console,
-    checkpoint: Checkpoint | None = None,
+    checkpoint: SavedJob | None = None,
 ) -> dict[str, Any]:
     """The same for a folder that is locked; checkpoint: where a run goes on that was begun
     before."""

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 from torch import Tensor
 
-from edtorch.run.checkpoint import write_atomically
+from edtorch.run.files import write_atomically
 from sims.base import Pictured
 
 

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from edtorch.report.domain import Domain
-from edtorch.run.checkpoint import write_atomically
 from edtorch.run.episodes import Episode
+from edtorch.run.files import write_atomically
 from sims.base import DEFAULT_WORDS, Outcome
 
 MARKS = {

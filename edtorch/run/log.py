@@ -17,8 +17,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from edtorch.run.checkpoint import FileProblem
 from edtorch.run.episodes import Episode
+from edtorch.run.files import FileProblem
 from sims.base import Outcome
 
 if TYPE_CHECKING:

@@ -19,9 +19,9 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from edtorch.run.checkpoint import FileProblem, write_atomically
+from edtorch.run.files import FileProblem, write_atomically
 
-FORMAT = 1
+STATE_FORMAT = 1
 """Of the files that this version writes; older ones are read."""
 
 _TENSOR, _ARRAY = "$tensor", "$array"
@@ -35,7 +35,7 @@ def save_state(path: Path, state: Mapping[str, Any]) -> None:
     """
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     text = json.dumps(_plain("", dict(state), arrays))
-    metadata = {"format": str(FORMAT), "state": text, "digest": _digest(text, arrays)}
+    metadata = {"format": str(STATE_FORMAT), "state": text, "digest": _digest(text, arrays)}
 
     def write(partial: Path) -> None:
         save_file(arrays, partial, metadata)
@@ -69,10 +69,10 @@ def load_state(path: Path) -> dict[str, Any]:
 def _check_format(path: Path, found: str | None) -> None:
     if found is None or not found.isdigit():
         raise FileProblem(f"{path}: damaged, or no checkpoint (it names no format)")
-    if int(found) > FORMAT:
+    if int(found) > STATE_FORMAT:
         raise FileProblem(
-            f"{path}: has format {found}, expected {FORMAT} at most: written by a later version of"
-            " edtorch"
+            f"{path}: has format {found}, expected {STATE_FORMAT} at most: written by a later"
+            " version of edtorch"
         )
 
 

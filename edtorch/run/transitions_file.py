@@ -15,8 +15,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from edtorch.run.checkpoint import FileProblem, write_atomically
 from edtorch.run.doubts import doubts
+from edtorch.run.files import FileProblem, write_atomically
 from edtorch.run.plausible import (
     FACTOR,
     FEW,

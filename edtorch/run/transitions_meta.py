@@ -15,7 +15,7 @@ from typing import Any, NoReturn, TypeGuard
 import numpy as np
 
 from edtorch.renamed import current_component
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from sims.base import Quantity, Spec
 
 FORMAT = 1

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.transitions.columns import FileColumn, matched, matrix
 from sims.base import Quantity
 

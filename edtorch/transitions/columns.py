@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.transitions.units import conversion
 from sims.base import Quantity, Spec
 

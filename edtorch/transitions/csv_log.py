@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.run.plausible import FACTOR
 from edtorch.run.recorded import first_rows, last_rows
 from edtorch.transitions.candidates import Candidates, followed

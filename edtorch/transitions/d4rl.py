@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.run.plausible import periods
 from edtorch.run.recorded import shorter_way
 from edtorch.transitions.arrays import components, flags

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.transitions.arrays import components, flags
 from edtorch.transitions.candidates import Candidates
 from edtorch.transitions.columns import FileColumn

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.run.recorded import Recorded
 from edtorch.run.transitions_file import save_transitions
 from edtorch.transitions.arrays import opened

@@ -159,7 +159,7 @@ def eventful_training(covariance: bool) -> Training:
     here = replace(
         here, world=world, observation=training.world.observe(world), start=world, begun=begun
     )
-    training.restore(training.learners, here, training.clock, training.finite)
+    training.stage.replace(replace(training.stage.population, worlds=here))
     return training
 
 

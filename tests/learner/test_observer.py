@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -19,7 +18,6 @@ from edtorch.model.models import NextStateModel
 from edtorch.policy.policies import LinearPolicy
 from edtorch.policy.steps import PlainStep
 from edtorch.rewards import QuadraticReward
-from edtorch.run.checkpoint import load_training, save_training
 from edtorch.run.episodes import Budget
 from edtorch.run.evaluation import evaluate
 from edtorch.run.scaled_sim import World
@@ -110,7 +108,7 @@ def test_the_filter_finds_the_model_behind_readings_that_err_and_are_late() -> N
     assert bool((found.sound_ticks == found.tick).all())
 
 
-def test_interrupted_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
+def test_interrupted_equals_uninterrupted_bit_for_bit() -> None:
     world = World(Sensed(system(0.01), {"state_0": 0.05, "state_1": 0.05}, delay=2))
 
     def fresh() -> Training:
@@ -120,8 +118,7 @@ def test_interrupted_equals_uninterrupted_bit_for_bit(tmp_path: Path) -> None:
     whole, first, second = fresh(), fresh(), fresh()
     whole.advance(100)
     first.advance(47)
-    save_training(tmp_path / "saved.pt", first)
-    load_training(tmp_path / "saved.pt", second)
+    second.restore(first.state(), first.episodes)
     second.advance(53)
     for name in ("model", "policy", "fit", "observer"):
         mine, theirs = getattr(second.learners, name), getattr(whole.learners, name)

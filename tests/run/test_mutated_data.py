@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from edtorch.model.fit import RecursiveLeastSquares
 from edtorch.policy.steps import PlainStep
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.run.offline import Lessons, Offline
 from edtorch.run.recorded import Recorded
 from edtorch.run.scaled_sim import World

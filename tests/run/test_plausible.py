@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.run.recorded import Recorded
 from edtorch.run.scaled_sim import World
 from edtorch.run.transitions_file import load_transitions, save_transitions

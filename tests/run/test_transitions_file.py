@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.run.recorder import Recorder
 from edtorch.run.transitions_file import (
     Recorded,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.run.transitions_meta import read_meta
 from sims.base import Sim, SimulatorFailed
 from sims.bicycle import Bicycle

@@ -14,7 +14,6 @@ from torch import Tensor
 from edtorch.run.episodes import Budget
 from edtorch.run.scaled_sim import World
 from edtorch.run.training import Training
-from edtorch.types import replace
 from sims.base import Outcome, Remembering
 from sims.from_gymnasium import GymnasiumSim
 from sims.linear import LinearSystem
@@ -226,10 +225,7 @@ def halves(env: Callable[[], Cart], ticks: int) -> Training:
     """Interrupted after so many ticks, up to where the other half has begun."""
     first, second = learning(env), learning(env)
     first.advance(ticks)
-    worlds = first.worlds
-    recalled = second.world.recall(worlds.world, first.world.memory())
-    state = first.learners, replace(worlds, world=recalled), first.clock, first.finite
-    second.restore(*state)
+    second.restore(first.state(), first.episodes)
     return second
 
 

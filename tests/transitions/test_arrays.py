@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from edtorch.run.checkpoint import FileProblem
+from edtorch.run.files import FileProblem
 from edtorch.transitions import (
     FileColumn,
     described_spec,

@@ -11,8 +11,8 @@ import pytest
 from edtorch.model.fit import Fit, RecursiveLeastSquares
 from edtorch.model.fit_ridge import Ridge
 from edtorch.policy.steps import PlainStep
-from edtorch.run.checkpoint import FileProblem
 from edtorch.run.episodes import Budget
+from edtorch.run.files import FileProblem
 from edtorch.run.offline import Lessons, Offline
 from edtorch.run.scaled_sim import World
 from edtorch.transitions import (

@@ -10,13 +10,8 @@ from typing import Any
 import pytest
 import torch
 
-from edtorch.run.checkpoint import (
-    FileProblem,
-    PolicyCard,
-    load_policy,
-    save_policy,
-    write_text,
-)
+from edtorch.run.files import FileProblem, write_text
+from edtorch.run.policy_file import PolicyCard, load_policy, save_policy
 
 CARD = PolicyCard("bicycle", ["lean"], ["torque"], [0.2, 2.0], "LinearPolicy(Identity)", [0, 1])
 SHAPES = {"weight": (1, 1)}
