@@ -22,6 +22,7 @@ from edtorch.app.options import options_named, without_presets
 from edtorch.app.overrides import typed, typing
 from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
+from edtorch.app.sweep_names import hash_of
 from edtorch.beside import ROOT
 from edtorch.renamed import REMOVED_KEYS, RENAMED_KEYS
 
@@ -39,7 +40,20 @@ def _unless_recorded(value: Any, *, _root_: Any) -> Any:
     return None if recorded else value
 
 
+def _where_named(named: Any, unnamed: Any, *, _root_: Any) -> Any:
+    """One value in a sweep with a name, another in one without."""
+    return unnamed if OmegaConf.select(_root_, "sweep.name") is None else named
+
+
+def _hash_of_job(*, _root_: Any) -> str:
+    """The name of a job's folder in a sweep with a name."""
+    return hash_of(OmegaConf.select(_root_, "hydra.overrides.task"))
+
+
+# Here, so that they are known wherever a job is composed: in the processes of launchers, too.
 OmegaConf.register_new_resolver("unless_recorded", _unless_recorded, replace=True)
+OmegaConf.register_new_resolver("where_named", _where_named, replace=True)
+OmegaConf.register_new_resolver("hash_of_job", _hash_of_job, replace=True)
 
 
 def compose(overrides: Sequence[str] = (), name: str = "train") -> Settings:
@@ -121,7 +135,8 @@ def launch(task: Callable[[Any], Any], folder: Path, name: str) -> None:
     parser = get_args_parser()
     arguments = parser.parse_args()
     setbase("1.3")
-    with options_named(arguments.overrides) as named:
+    overrides = arguments.overrides
+    with typing(overrides), options_named(overrides) as named:
         arguments.overrides = prepared(named)
         _run_hydra(
             args=arguments,

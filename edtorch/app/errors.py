@@ -16,6 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from edtorch.app.folders import FootprintCallback
 from edtorch.app.groups import Whole
+from edtorch.app.launchers import not_installed
 from edtorch.app.overrides import given, given_name, typed
 from edtorch.app.signals import Interrupted
 from edtorch.run.files import FileProblem
@@ -31,9 +32,9 @@ class NotARun(Exception):
 
 
 class Refused(BaseException):
-    """The one line for the user, on its way out of a job.
+    """The one line for the user, on its way out of Hydra.
 
-    No ``Exception``: of those Hydra would collect the whole sweep's, and print lines of its own.
+    No ``Exception``: Hydra prints lines of its own for those of jobs, and warns of callbacks'.
     """
 
 
@@ -98,9 +99,12 @@ def one_line(error: BaseException) -> str:
         # By the name that the user typed, where the setting had another one before.
         key, equals, rest = lines[0].partition("=")
         lines[0] = f"{given_name(key)}{equals}{rest}"
-    if isinstance(error, MissingConfigException) and error.options is not None:
+    if isinstance(error, MissingConfigException):
         group, _, option = (error.missing_cfg_file or "").rpartition("/")
-        return f"{group}={option}: expected one of {', '.join(error.options)}"
+        if group == "hydra/launcher" and (line := not_installed(option)):
+            return line
+        if error.options is not None:
+            return f"{group}={option}: expected one of {', '.join(error.options)}"
     if isinstance(error, OverrideParseException):
         return f"{error.override}: expected KEY=VALUE ({'; '.join(lines[1:2])})"
     if isinstance(error, HydraException):
@@ -116,7 +120,7 @@ def refusing() -> Iterator[None]:
     try:
         yield
     except EXPECTED as error:
-        if _debugging():
+        if debugging():
             raise
         raise Refused(one_line(error)) from error
 
@@ -136,7 +140,8 @@ def _errors_unchanged() -> Iterator[None]:
             os.environ[name] = before
 
 
-def _debugging() -> bool:
+def debugging() -> bool:
+    """Whether the user has asked for tracebacks."""
     return any(re.fullmatch(r"\+*debug=(true|yes|on|y|1)", a.lower()) for a in typed())
 
 
@@ -161,17 +166,6 @@ def _message(error: BaseException) -> str:
     return _odd_choice(error) if type(error) is ValueError else one_line(error)
 
 
-_REFUSED = re.compile(rf"^{re.escape(Refused.__module__)}\.{Refused.__name__}: (.+)$", re.M)
-
-
-def _refused_elsewhere(error: BaseException) -> str | None:
-    """The one line of a job that submitit ran in another process, whose end it reports as text."""
-    if type(error).__module__.partition(".")[0] != "submitit":
-        return None
-    lines = _REFUSED.findall(str(error))
-    return lines[-1] if lines else None
-
-
 def find_here() -> None:
     """Let a ``_target_`` name modules of the current folder.  It comes last on the path, so that
     nothing in it hides anything else."""
@@ -193,15 +187,9 @@ def guarded(command: str, run: Callable[[], None]) -> int:
         return 130
     except (Refused, ValueError, *EXPECTED) as error:
         # A ValueError from before any folder is Hydra's, from composing; later ones are defects.
-        if _debugging() or (type(error) is ValueError and FootprintCallback.footprint is not None):
+        if debugging() or (type(error) is ValueError and FootprintCallback.footprint is not None):
             raise
         print(f"{command}: {_message(error)}", file=sys.stderr)
-        return 1
-    except Exception as error:
-        line = _refused_elsewhere(error)
-        if line is None or _debugging():
-            raise
-        print(f"{command}: {line}", file=sys.stderr)
         return 1
     finally:
         if FootprintCallback.footprint is not None:

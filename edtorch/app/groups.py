@@ -255,6 +255,15 @@ class LogGroup:
 
 
 @dataclass(frozen=True)
+class SweepGroup:
+    """Of ``edtorch-train -m``.  name: of a sweep that can be repeated, null: it has a folder by the
+    time of day; retry: whether jobs that have failed are tried again."""
+
+    name: str | None = None
+    retry: bool = False
+
+
+@dataclass(frozen=True)
 class Evaluate:
     """Settings of ``edtorch-eval``.
 
@@ -294,6 +303,7 @@ UNTARGETED: dict[str, tuple[type, ...]] = {
     "eval": (EvalGroup,),
     "compute": (ComputeGroup,),
     "log": (LogGroup,),
+    "sweep": (SweepGroup,),
 }
 """By group, the variants of what an option without a class sets; the first where none is given."""
 

@@ -61,9 +61,12 @@ def checked(composed: Mapping[str, Any]) -> Settings:
     return Settings(result)
 
 
-def checked_fields(schema: type, composed: Mapping[str, Any]) -> Settings:
-    """A configuration without groups, such as that of ``edtorch-eval``.  Raises ConfigError."""
-    return Settings(_fields("", composed, schema))
+def checked_fields(schema: type, composed: Mapping[str, Any], group: str = "") -> Settings:
+    """A configuration without groups, such as that of ``edtorch-eval``, or one group of another.
+
+    Raises ConfigError.
+    """
+    return Settings(_fields(group, composed, schema))
 
 
 def _group(group: str, node: Any) -> Any:

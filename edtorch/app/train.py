@@ -13,9 +13,10 @@ from hydra.types import RunMode
 
 from edtorch.app.compose import CONF, launch, plainly, settings_typed
 from edtorch.app.errors import ConfigError, guarded, refusing
-from edtorch.app.folders import remove_empty
 from edtorch.app.schema import checked
 from edtorch.app.signals import Stop
+from edtorch.app.sweep import following
+from edtorch.app.sweep_job import run_job
 from edtorch.app.trust import trusted
 
 _STARTED = time.monotonic() - time.process_time()
@@ -25,30 +26,27 @@ _STARTED = time.monotonic() - time.process_time()
 def _task(composed: Any) -> float:
     """One job.  Returns its headline figure, for sweepers to minimise."""
     hydra = HydraConfig.get()
-    alone = hydra.mode == RunMode.RUN
-    began = _STARTED if alone else time.monotonic()
-    folder = Path(hydra.runtime.output_dir)
+    if hydra.mode != RunMode.RUN:
+        return run_job(composed, time.monotonic())
     stop = Stop()
-    try:
-        # Paths are relative to where the user stands, whatever hydra.job.chdir says.
-        with stop.listening(), refusing(), contextlib.chdir(hydra.runtime.cwd):
-            settings = checked(plainly(composed))
-            # Not before: what a job needs takes seconds to import.
-            from edtorch.app.rundir import RunFolder
-            from edtorch.app.work import headline, run
+    # Paths are relative to where the user stands, whatever hydra.job.chdir says.
+    with stop.listening(), refusing(), contextlib.chdir(hydra.runtime.cwd):
+        settings = checked(plainly(composed))
+        if settings.sweep.name is not None:
+            raise ConfigError(f"sweep.name={settings.sweep.name}: expected -m, for a sweep")
+        # Not before: what a job needs takes seconds to import.
+        from edtorch.app.rundir import RunFolder
+        from edtorch.app.work import headline, run
 
-            key = "hydra.run.dir" if alone else "hydra.sweep.dir"
-            summary = run(settings, RunFolder(folder, key), stop, began)
-    finally:
-        if not alone:
-            remove_empty(folder, folder.parent)
-    return headline(summary)
+        folder = RunFolder(Path(hydra.runtime.output_dir))
+        return headline(run(settings, folder, stop, _STARTED))
 
 
-def _train() -> None:
+def _command() -> None:
     given = settings_typed()
     if "resume" not in given:
-        launch(_task, CONF, "train")
+        with following("edtorch-train"):
+            launch(_task, CONF, "train")
         return
     folder, trust = given.pop("resume"), given.pop("trust", ())
     if not isinstance(folder, str) or not folder:
@@ -62,7 +60,7 @@ def _train() -> None:
 
 def main() -> None:
     """Entry point of ``edtorch-train``."""
-    sys.exit(guarded("edtorch-train", _train))
+    sys.exit(guarded("edtorch-train", _command))
 
 
 if __name__ == "__main__":

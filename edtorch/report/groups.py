@@ -24,6 +24,7 @@ HOW_NOT_WHAT = (
     "seeds",
     "debug",
     "log",
+    "sweep",
     "compute.threads",
     "compute.native",
     "domain.workers",

@@ -193,9 +193,13 @@ REFUSED = [
         ["+eval.domain.nose=3"],
         r"eval\.domain\.nose=3: unknown key; did you mean",
     ),
-    (["-m", "exploration.deviation=-1,0.1"], r"exploration\.deviation=-1\.0: expected a finite"),
     (["-m", "domain=foo,bicycle"], r"domain=foo: expected one of"),
-    (["-m", "step.alpa=1,2"], r"step\.alpa=1,2: unknown key"),
+    (["sweep.name=a"], r"sweep\.name=a: expected -m, for a sweep"),
+    (["-m", "sweep.name=a,b"], r"sweep\.name=a,b: expected one value"),
+    (["-m", "sweep.name=../a"], r"sweep\.name=\.\./a: expected letters, digits"),
+    (["-m", "sweep.name=a", "sweep.retry=3"], r"sweep\.retry=3: expected true or false"),
+    (["-m", "sweep.name=a", "domain=foo,bicycle"], r"domain=foo: expected one of"),
+    (["-m", "hydra/launcher=slurm"], r"hydra/launcher=slurm: expected a machine with SLURM"),
 ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -271,16 +272,15 @@ def test_sweep(command: Command, workplace: Path, quick: tuple[str, ...]) -> Non
 
 
 def test_bad_job_of_a_sweep(command: Command, workplace: Path, quick: tuple[str, ...]) -> None:
-    """What the jobs before it did stays; its own folder does not."""
+    """It is named as the user named it, and the others are done."""
     result = command(
-        "edtorch-train", "-m", *quick, "noise.exploration=0.02,-1", "hydra.sweep.dir=s"
+        "edtorch-train", "-m", *quick, "noise.exploration=-1,0.02", "hydra.sweep.dir=s"
     )
     assert result.status == 1
-    assert result.err.splitlines()[-1] == (
-        "edtorch-train: noise.exploration=-1.0: expected a finite number >= 0"
-    )
-    assert _json(workplace / "s" / "0" / "status.json")["status"] == "done"
-    assert not (workplace / "s" / "1").exists()
+    why = "noise.exploration=-1.0: expected a finite number >= 0"
+    assert _json(workplace / "s/0/status.json") == {"status": "failed", "why": why}
+    assert f"edtorch-train: {workplace / 's/0'}: {why}" in result.err.splitlines()
+    assert _json(workplace / "s" / "1" / "status.json")["status"] == "done"
 
 
 def test_evaluation_of_a_run(
@@ -322,3 +322,17 @@ def test_hydra_s_own_options(
     assert result.status == 0
     assert wanted in result.out
     assert list(workplace.iterdir()) == []
+
+
+@pytest.mark.experiment
+def test_paths_are_relative_to_where_the_command_was_called(
+    start: Callable[..., subprocess.Popen[str]], workplace: Path, patience: float
+) -> None:
+    process = start(
+        "edtorch-train",
+        *("experiment=bicycle_offline", "offline.data=data.npz", "hydra.job.chdir=true"),
+    )
+    (workplace / "data.npz").write_bytes(b"not a file of arrays")
+    _, err = process.communicate(timeout=patience)
+    assert process.returncode == 1
+    assert "data.npz: cannot be read as an .npz file of arrays" in err
