@@ -13,16 +13,17 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
+from rich.console import Console
 
 from edtorch.app.compose import plainly
 from edtorch.app.errors import EXPECTED, ConfigError, debugging, one_line
 from edtorch.app.overrides import typing
-from edtorch.app.rundir import CONFIG, STATUS, SUMMARY, RunFolder, json_text
+from edtorch.app.rundir import CONFIG, STATUS, SUMMARY, RunFolder, json_text, status_of
 from edtorch.app.schema import checked
 from edtorch.app.signals import Stop
 from edtorch.app.sweep_names import significant
 from edtorch.app.sweep_record import JOB, Record
-from edtorch.run.checkpoint import write_text
+from edtorch.run.files import write_text
 
 FAILED = math.inf
 """What a sweeper that minimises is told of a job that has failed."""
@@ -52,6 +53,7 @@ def run_job(composed: Any, began: float) -> float:
 
 
 def _run(composed: Any, folder: Path, overrides: list[str], began: float) -> float:
+    from edtorch.app.resume import resume_with
     from edtorch.app.work import headline, run
 
     stop = Stop()
@@ -66,25 +68,11 @@ def _run(composed: Any, folder: Path, overrides: list[str], began: float) -> flo
             print(f"failed before: {folder}")
             return FAILED
         if (folder / CONFIG).exists():
-            summary = resume(folder, {}, stop, began)
+            summary = resume_with(folder, settings, stop, began, Console())
         else:
             (folder / STATUS).unlink(missing_ok=True)
             summary = run(settings, RunFolder(folder, "hydra.sweep.dir"), stop, began)
     return headline(summary)
-
-
-def resume(folder: Path, changes: Any, stop: Stop, began: float) -> dict[str, Any]:
-    """Until runs can be resumed, they are made anew."""
-    import shutil
-
-    from edtorch.app.rundir import load_config
-    from edtorch.app.work import run
-
-    settings, job = load_config(folder), (folder / JOB).read_text()
-    shutil.rmtree(folder)
-    folder.mkdir()
-    (folder / JOB).write_text(job)
-    return run(settings, RunFolder(folder), stop, began)
 
 
 def _claim(folder: Path, overrides: Sequence[str]) -> None:
@@ -102,18 +90,6 @@ def _claim(folder: Path, overrides: Sequence[str]) -> None:
 def overrides_of(folder: Path) -> list[str]:
     """Of the job in this folder."""
     return json.loads((folder / JOB).read_text(encoding="utf-8"))["overrides"]
-
-
-def _status(folder: Path) -> dict[str, Any]:
-    try:
-        return json.loads((folder / STATUS).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-
-
-def status_of(folder: Path) -> str | None:
-    """What became of the job in this folder; None where it has not come to a run."""
-    return _status(folder).get("status")
 
 
 def _tell(folder: Path, error: Exception) -> None:

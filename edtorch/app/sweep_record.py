@@ -14,7 +14,7 @@ from edtorch.app.options import WRITTEN_OUT
 from edtorch.app.overrides import typed
 from edtorch.app.rundir import CONFIG, STATUS, command_line, json_text, versions
 from edtorch.app.sweep_names import key_of, significant
-from edtorch.run.checkpoint import FileProblem, write_text
+from edtorch.run.files import FileProblem, write_text
 
 RECORD = "sweep.json"
 JOB = "job.json"

@@ -18,7 +18,7 @@ from edtorch.app.sweep_names import key_of
 from edtorch.app.sweep_record import JOB
 from edtorch.app.work import headline
 from edtorch.report.sweep import FOLDER, HEADLINE, STATE, SWEEP
-from edtorch.run.checkpoint import write_text
+from edtorch.run.files import write_text
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,11 @@ def _jobs(sweep: Path, key: str = "domain.how") -> dict[str, dict[str, str]]:
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, bytes]]:
-    return {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()}
+    return {
+        path.name: (path.stat().st_mtime_ns, path.read_bytes())
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 class TestNames:
