@@ -72,8 +72,10 @@ class Stop:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        self._before = {number: signal.getsignal(number) for number in SIGNALS}
-        for number in SIGNALS:
+        # None: it was not installed from Python, and cannot be installed again.
+        found = {number: signal.getsignal(number) for number in SIGNALS}
+        self._before = {number: handler for number, handler in found.items() if handler is not None}
+        for number in self._before:
             signal.signal(number, self._handle)
         try:
             yield

@@ -38,7 +38,10 @@ def save_state(path: Path, state: Mapping[str, Any]) -> None:
     metadata = {"format": str(STATE_FORMAT), "state": text, "digest": _digest(text, arrays)}
 
     def write(partial: Path) -> None:
-        save_file(arrays, partial, metadata)
+        try:
+            save_file(arrays, partial, metadata)
+        except SafetensorError as error:
+            raise OSError(f"{path}: {error}") from error  # of a full disk, for instance
         # safetensors writes files that nobody else may read.
         mask = os.umask(0)
         os.umask(mask)

@@ -38,15 +38,17 @@ class Trail:
         return self._ring[index.to(self._ring.device), row].cpu()
 
     def state(self) -> dict[str, Any]:
-        """What has been added."""
-        return {"ring": self._ring, "count": self._count}
+        """What has been added and is still there."""
+        filled = min(int(self._count.max()), self.capacity)
+        return {"ring": self._ring[:filled], "count": self._count}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what another one of the same sizes has; ValueError for one of other sizes."""
-        if state["ring"].shape != self._ring.shape:
+        ring = state["ring"]
+        if ring.shape[1:] != self._ring.shape[1:] or len(ring) > self.capacity:
             raise ValueError(
-                f"trail: has the shape {list(state['ring'].shape)}, expected"
-                f" {list(self._ring.shape)}"
+                f"trail: has the shape {list(ring.shape)}, expected {list(self._ring.shape)} or"
+                " less of the first"
             )
-        self._ring.copy_(state["ring"])
+        self._ring[: len(ring)] = ring
         self._count.copy_(state["count"])
