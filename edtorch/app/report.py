@@ -16,7 +16,7 @@ from edtorch.app.rundir import command_line, git_commit, json_text, versions
 from edtorch.app.schema import defaults
 from edtorch.app.settings import Settings
 from edtorch.report import samples
-from edtorch.report.charts import WIDE
+from edtorch.report.canvas import WIDE
 from edtorch.report.comparison import Comparison, as_json, compare_all
 from edtorch.report.document import Document, document, overview
 from edtorch.report.domain import Domain, domain_of

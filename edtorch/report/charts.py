@@ -4,44 +4,26 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from edtorch.report import samples
+from edtorch.report.canvas import HUES, INK, NARROW, Chart, blank, panelled, styled
 from edtorch.report.comparison import ZERO_FAILURES, Comparison, Estimate, Row
 from edtorch.report.legacy import MINUTES
 from edtorch.report.quantities import EVALUATION, Quantity, evaluation, learning, to_milestones
 from edtorch.report.samples import Array, Sample
 from edtorch.report.task_curve import COLOURS
 
-INK = "#222222"
-"""Of everything but the data; a page may replace it."""
-HUES = (*COLOURS, "#c8901c")
-"""For a baseline there is the ink."""
-WIDE, NARROW = 9.0, 3.7
-"""Inches: of a page, and of a phone."""
 LOGARITHMIC = 20.0
 """Positive values that differ by more than this factor get a logarithmic axis."""
 DECADES = 4
 """Where zero has a tick, at most so many others fit beside it."""
-
-
-@dataclass(frozen=True)
-class Chart:
-    """A figure that can be drawn at any width; name: of its files; title: what it shows, in words
-    that stand for it where it cannot be seen."""
-
-    name: str
-    title: str
-    draw: Callable[[float], Figure]
 
 
 def charts(comparison: Comparison) -> list[Chart]:
@@ -68,41 +50,6 @@ def charts(comparison: Comparison) -> list[Chart]:
         title = f"{section}: evaluations on the way, median and quartiles over the seeds"
         found.append(Chart(f"{prefix}_progress", title, lambda w: _progress(curves, w)))
     return found
-
-
-@contextmanager
-def _canvas(width: float) -> Iterator[None]:
-    size = 9 if width > NARROW else 8
-    with matplotlib.rc_context(
-        {
-            "font.size": size,
-            "axes.titlesize": size + 1,
-            "text.color": INK,
-            "axes.edgecolor": INK,
-            "axes.labelcolor": INK,
-            "xtick.color": INK,
-            "ytick.color": INK,
-        }
-    ):
-        yield
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _grid(width: float, panels: int, height: float) -> tuple[Figure, list[Axes]]:
-    """Side by side on a page, one below the other on a phone."""
-    narrow = width <= NARROW
-    columns = 1 if narrow else min(panels, 3)
-    rows = math.ceil(panels / columns)
-    figure = _figure(width, height * rows)
-    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for empty in axes[panels:]:
-        empty.set_axis_off()
-    return figure, axes[:panels]
 
 
 @dataclass(frozen=True)
@@ -172,11 +119,11 @@ def _costs(comparison: Comparison) -> list[Quantity]:
 def _forest(comparison: Comparison, columns: Sequence[_Column], width: float) -> Figure:
     labels = [row.group.label for row in comparison.rows]
     narrow = width <= NARROW
-    with _canvas(width):
+    with styled(width):
         wrapped = [textwrap.fill(label, 34) for label in labels]
         lines = 1 + max(label.count("\n") for label in wrapped)
         height = 0.9 + (0.42 if narrow else 0.15 + 0.13 * lines) * max(2, len(labels))
-        figure, panels = _grid(width, len(columns), height)
+        figure, panels = panelled(width, len(columns), height)
         beside = 1 if narrow else min(len(columns), 3)
         for k, (axes, column) in enumerate(zip(panels, columns, strict=True)):
             _forest_panel(axes, column, labels)
@@ -261,11 +208,11 @@ def _distributions(comparison: Comparison, width: float) -> Figure:
     parts = [others[k : k + len(HUES)] for k in range(0, len(others), len(HUES))] or [[]]
     told = _costs(comparison)
     narrow = width <= NARROW
-    with _canvas(width):
+    with styled(width):
         columns = 1 if narrow else len(told)
         longest = max(len(part) for part in parts) + 1
         rows = len(parts) * (len(told) if narrow else 1)
-        figure = _figure(width, rows * (2.4 + 0.17 * longest))
+        figure = blank(width, rows * (2.4 + 0.17 * longest))
         panels = list(figure.subplots(rows, columns, squeeze=False).flat)
         for k, axes in enumerate(panels):
             part, quantity = parts[k // len(told)], told[k % len(told)]
@@ -340,8 +287,8 @@ def _curves(comparison: Comparison) -> dict[str, dict[str, _Curve]]:
 
 def _progress(curves: Mapping[str, Mapping[str, _Curve]], width: float) -> Figure:
     labels = list(dict.fromkeys(label for own in curves.values() for label in own))
-    with _canvas(width):
-        figure, panels = _grid(width, len(curves), 2.3)
+    with styled(width):
+        figure, panels = panelled(width, len(curves), 2.3)
         for axes, (title, own) in zip(panels, curves.items(), strict=True):
             for label, curve in own.items():
                 colour = (INK, *HUES)[labels.index(label) % (len(HUES) + 1)]

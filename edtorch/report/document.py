@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from edtorch.report import samples
-from edtorch.report.charts import Chart, charts
+from edtorch.report.canvas import Chart
+from edtorch.report.charts import charts
 from edtorch.report.comparison import (
     SUCCEEDED,
     ZERO_FAILURES,

@@ -12,7 +12,7 @@ from io import StringIO
 
 import matplotlib
 
-from edtorch.report.charts import INK, NARROW, WIDE, Chart
+from edtorch.report.canvas import INK, NARROW, WIDE, Chart
 from edtorch.report.document import Document, Part
 from edtorch.report.tables import Table
 

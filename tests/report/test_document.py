@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from edtorch.report.charts import INK, NARROW, WIDE, Chart, charts, steps
+from edtorch.report.canvas import INK, NARROW, WIDE, Chart
+from edtorch.report.charts import charts, steps
 from edtorch.report.comparison import compare_all
 from edtorch.report.document import Document, document, number, percent, ranges
 from edtorch.report.domain import domain_of
