@@ -25,6 +25,8 @@ from edtorch.report.groups import BaselineUnknown, sections
 from edtorch.report.html import html
 from edtorch.report.markdown import markdown
 from edtorch.report.runs import LeftOut, load_all
+from edtorch.report.sweep import SweepTable, sweeps_in
+from edtorch.report.sweep_document import sweep_json, sweep_part
 from edtorch.report.tables import as_text
 from edtorch.run.files import write_text
 
@@ -133,7 +135,9 @@ def _write(output: Path, page: Document, numbers: dict[str, Any]) -> None:
             raise
 
 
-def _numbers(comparisons: Sequence[Comparison], left_out: Sequence[LeftOut]) -> dict[str, Any]:
+def _numbers(
+    comparisons: Sequence[Comparison], left_out: Sequence[LeftOut], sweeps: Sequence[SweepTable]
+) -> dict[str, Any]:
     """The content of ``report.json``, but for the names of its files."""
     return {
         "command": command_line(),
@@ -141,6 +145,7 @@ def _numbers(comparisons: Sequence[Comparison], left_out: Sequence[LeftOut]) -> 
         "git": git_commit(),
         "bootstrap": {"resamples": samples.RESAMPLES, "seed": samples.SEED, "confidence": 0.95},
         "sections": [as_json(comparison) for comparison in comparisons],
+        "sweeps": [sweep_json(sweep, comparisons) for sweep in sweeps],
         "left_out": [{"folder": str(item.path), "why": item.why} for item in left_out],
     }
 
@@ -152,6 +157,8 @@ def _run(options: argparse.Namespace) -> None:
             raise Refusal(f"{folder}: expected a folder with runs, but it {state}")
     _check_output(options.output)
     runs, left_out = load_all(options.folders, known_domain)
+    sweeps, unreadable = sweeps_in(options.folders)
+    left_out += unreadable
     for item in left_out:
         print(f"edtorch-report: left out {item.path}: {item.why}", file=sys.stderr)
     if not runs:
@@ -168,8 +175,11 @@ def _run(options: argparse.Namespace) -> None:
     left_out += repeated
     comparisons = compare_all(found)
     made = f"Made by edtorch {versions()['edtorch']}: {command_line()}"
-    page = document(comparisons, left_out, options.title, made)
-    _write(options.output, page, _numbers(comparisons, left_out))
+    parts = [sweep_part(sweep, comparisons) for sweep in sweeps]
+    page = document(comparisons, left_out, options.title, made, parts)
+    _write(options.output, page, _numbers(comparisons, left_out, sweeps))
+    for table in (table for part in parts for table in part.tables):
+        print(as_text(table), end="\n\n")
     for comparison in comparisons:
         print(as_text(overview(comparison)), end="\n\n")
     print(f"report: {options.output / PAGE}")

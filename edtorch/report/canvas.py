@@ -16,6 +16,8 @@ from edtorch.report.task_curve import COLOURS
 
 INK = "#222222"
 """Of everything but the data; a page may replace it."""
+PAPER = "#fefefe"
+"""Behind letters that lie on lines; a page may replace it."""
 HUES = (*COLOURS, "#c8901c")
 """For a baseline there is the ink."""
 WIDE, NARROW = 9.0, 3.7

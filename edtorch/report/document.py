@@ -76,10 +76,14 @@ class Document:
 
 
 def document(
-    comparisons: Sequence[Comparison], left_out: Sequence[LeftOut], title: str, made: str
+    comparisons: Sequence[Comparison],
+    left_out: Sequence[LeftOut],
+    title: str,
+    made: str,
+    sweeps: Sequence[Part] = (),
 ) -> Document:
-    """Put a report together."""
-    parts = [_section(comparison) for comparison in comparisons]
+    """Put a report together; sweeps: what comes first."""
+    parts = [*sweeps, *(_section(comparison) for comparison in comparisons)]
     parts.append(Part("How to read this", HOW_TO_READ))
     if left_out:
         rows = tuple((str(item.path), item.why) for item in left_out)
@@ -288,7 +292,7 @@ def _against_baseline(comparison: Comparison) -> list[Table]:
         for quantity in told:
             estimate = row.estimates.get(quantity.name)
             cells += (
-                [NONE, NONE] if estimate is None else [_difference(estimate), _better(estimate)]
+                [NONE, NONE] if estimate is None else [difference_cell(estimate), _better(estimate)]
             )
         rows.append((row.group.label, *cells))
     note = (
@@ -308,7 +312,8 @@ def _against(row: Row, first: Row, name: str) -> str:
     return f"{points:+.3g} points" + ("" if p is None else f", p = {p:.2g}")
 
 
-def _difference(estimate: Estimate) -> str:
+def difference_cell(estimate: Estimate) -> str:
+    """The difference with its interval."""
     found, digits = estimate.difference, estimate.quantity.digits
     if found is None:
         return NONE
@@ -369,7 +374,7 @@ def _detail(label: str, estimate: Estimate) -> tuple[str, ...]:
         NONE if middle is None else f"{number(middle.value, digits)} {_bracket(middle, digits)}",
         NONE if estimate.censored else number(float(estimate.sample.lived.mean()), digits),
         *(extreme(found[key]) for key in ("min", "p95", "max")),
-        _difference(estimate),
+        difference_cell(estimate),
         _better(estimate),
     )
 

@@ -12,7 +12,7 @@ from io import StringIO
 
 import matplotlib
 
-from edtorch.report.canvas import INK, NARROW, WIDE, Chart
+from edtorch.report.canvas import INK, NARROW, PAPER, WIDE, Chart
 from edtorch.report.document import Document, Part
 from edtorch.report.tables import Table
 
@@ -135,6 +135,6 @@ def inline_svg(chart: Chart, width: float, kind: str) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="', f'id="{prefix}', text)
     text = re.sub(r'(href="|url\()#', rf"\1#{prefix}", text)
-    text = text.replace(INK, "var(--ink)")
+    text = text.replace(INK, "var(--ink)").replace(PAPER, "var(--paper)")
     label = f'role="img" aria-label="{escape(chart.title)}" '
     return text.replace("<svg ", f"<svg {label}", 1).strip()

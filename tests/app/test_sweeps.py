@@ -209,6 +209,24 @@ def test_a_folder_that_is_not_of_a_sweep(
     assert [path.name for path in folder.iterdir()] == [name]
 
 
+@pytest.mark.experiment
+def test_a_report_of_a_sweep(command: Command, workplace: Path) -> None:
+    """Its best setting is the one whose summary says so; what is not done is said."""
+    command("edtorch-train", "-m", *TINY, "sweep.name=a", "step.alpha=0.01,0.1,-1")
+    result = command("edtorch-report", "runs/sweeps/a")
+    assert result.status == 0, result.err
+    told = _json(workplace / "report/report.json")
+    (sweep,) = told["sweeps"]
+    assert [job["status"] for job in sweep["jobs"]] == ["done", "done", "failed"]
+    (section,) = sweep["sections"]
+    assert section["axes"] == {"step.alpha": ["-1", "0.01", "0.1"]}
+    assert {each["settings"]["step.alpha"] for each in section["ranked"]} == {"0.01", "0.1"}
+    page = (workplace / "report/report.html").read_text()
+    assert "3 jobs in runs/sweeps/a: 2 done, 1 failed" in page
+    assert "step.alpha=-1.0: expected a number &gt;= 0" in page
+    assert (workplace / "report/sweep_a_doomed_learners.png").exists()
+
+
 def test_launchers_are_limited() -> None:
     """Cores are shared out among jobs at a time and their threads."""
     cores = len(os.sched_getaffinity(0))
