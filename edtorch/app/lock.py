@@ -24,6 +24,10 @@ STALE = 600.0
 """Seconds without a sign of life after which a process on another machine counts as dead."""
 
 
+class InUse(ConfigError):
+    """Another process is at work in the folder."""
+
+
 class Lock:
     """The lock of a run's folder: a file that names host and process.
 
@@ -43,14 +47,13 @@ class Lock:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the lock in this block.  Raises ConfigError if another process holds it, and OSError
-        where the folder cannot be written to."""
+        """Hold the lock in this block.  Raises InUse if another process holds it, and OSError where
+        the folder cannot be written to."""
         with FileLock(_guard(self._path)):
-            holder = _read(self._path)
-            if holder is not None and self._is_alive(holder):
-                raise ConfigError(
-                    f"run={self._path.parent}: in use by process {holder.get('pid')} on"
-                    f" {holder.get('host')}; if that has ended, delete {self._path}"
+            if (other := self.other()) is not None:
+                raise InUse(
+                    f"run={self._path.parent}: in use by {other}; if that has ended, delete"
+                    f" {self._path}"
                 )
             write_text(self._path, json.dumps(self._holder) + "\n")
         try:
@@ -58,6 +61,13 @@ class Lock:
         finally:
             with contextlib.suppress(OSError):
                 self._path.unlink(missing_ok=True)
+
+    def other(self) -> str | None:
+        """Which other process holds it, in words; None: no live one."""
+        holder = _read(self._path)
+        if holder is None or not self._is_alive(holder):
+            return None
+        return f"process {holder.get('pid')} on {holder.get('host')}"
 
     def alive(self) -> None:
         """Give a sign of life."""

@@ -9,6 +9,7 @@ import math
 import sys
 import traceback
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from rich.console import Console
 
 from edtorch.app.compose import plainly
 from edtorch.app.errors import EXPECTED, ConfigError, debugging, one_line
+from edtorch.app.groups import SweepGroup
+from edtorch.app.lock import InUse
 from edtorch.app.overrides import typing
 from edtorch.app.rundir import CONFIG, STATUS, SUMMARY, RunFolder, json_text, status_of
 from edtorch.app.schema import checked
@@ -67,6 +70,8 @@ def _run(composed: Any, folder: Path, overrides: list[str], began: float) -> flo
         if before == "failed" and not settings.sweep.retry:
             print(f"failed before: {folder}")
             return FAILED
+        # The run itself is as it would be alone.
+        settings = settings.merged({"sweep": asdict(SweepGroup())})
         if (folder / CONFIG).exists():
             summary = resume_with(folder, settings, stop, began, Console())
         else:
@@ -99,7 +104,7 @@ def _tell(folder: Path, error: Exception) -> None:
     why = one_line(error)
     why = why if expected else f"{type(error).__name__}: {why}"
     print(f"edtorch-train: {folder}: {why}", file=sys.stderr)
-    if isinstance(error, NotItsFolder) or status_of(folder) == "failed":
+    if isinstance(error, NotItsFolder | InUse) or status_of(folder) == "failed":
         return
     with contextlib.suppress(OSError):
         write_text(folder / STATUS, json_text({"status": "failed", "why": why}))

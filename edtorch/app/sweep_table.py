@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from edtorch.app.lock import Lock
 from edtorch.app.rundir import STATUS, SUMMARY
 from edtorch.app.summary import medians
 from edtorch.app.sweep_job import overrides_of
@@ -23,8 +24,9 @@ from edtorch.run.files import write_text
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one job.  folder: None where it has not begun; status: done, failed, interrupted,
-    unfinished (it has ended without a result) or not begun; why: in one line, may be empty."""
+    """Of one job.  folder: None where it has not begun; status: done, failed, interrupted, running
+    (in another process), unfinished (it has ended without a result) or not begun; why: in one line,
+    may be empty."""
 
     overrides: tuple[str, ...]
     folder: Path | None = None
@@ -67,7 +69,9 @@ def _outcome(overrides: tuple[str, ...], folder: Path) -> Outcome:
         status, why = told["status"], " ".join((told.get("why") or "").split())
     except (OSError, ValueError, LookupError, TypeError):
         status, why = "running", ""
-    if status == "running":
+    if status == "running" and (process := Lock(folder).other()) is not None:
+        why = f"in use by {process}"
+    elif status == "running":
         status, why = "unfinished", "ended without a result"
     return Outcome(overrides, folder, status, why)
 

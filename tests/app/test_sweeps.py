@@ -18,6 +18,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from edtorch.app.launchers import share_cores
+from edtorch.app.lock import LOCK
 from edtorch.app.sweep_names import hash_of, significant
 from tests.app.doomed import MENDED, THREADS
 
@@ -38,6 +39,7 @@ TINY = (
     "log.tensorboard=false",
     "log.figures=false",
     "log.progress=false",
+    "log.checkpoint_wall=0",
     "compute.native=off",
 )
 """A job of a tenth of a second, in a world that may not last."""
@@ -141,6 +143,23 @@ def test_a_repeated_sweep_does_what_is_left(command: Command, workplace: Path) -
     assert undisturbed.status == 0, undisturbed.err
     for folder in folders.values():
         assert _results(folder) == _results(workplace / "runs/sweeps/b" / folder.name)
+
+
+@pytest.mark.experiment
+def test_a_job_that_another_process_is_at(command: Command, workplace: Path) -> None:
+    """It is left to that, and told."""
+    arguments = ("edtorch-train", "-m", *TINY, "sweep.name=a", "+domain.how=defect,fine")
+    command(*arguments)
+    sweep = workplace / "runs/sweeps/a"
+    folder = sweep / _jobs(sweep)["defect"]["folder"]
+    (folder / "status.json").write_text('{"status": "running", "why": null}')
+    (folder / LOCK).write_text('{"host": "elsewhere", "pid": 1}')
+    before = _stamps(folder)
+    result = command(*arguments)
+    assert result.status == 1
+    assert "of 2 jobs 1 running, 1 done" in result.err.splitlines()[-1]
+    assert "running: in use by process 1 on elsewhere" in result.err
+    assert _stamps(folder) == before
 
 
 @pytest.mark.experiment
@@ -292,9 +311,13 @@ def test_a_job_that_is_killed(
         assert jobs["fine"]["status"] == "done"
     (workplace / MENDED).touch()
     assert sweep_of(launcher, how)[0] == 0
+    assert "resumed" in _json(sweep / jobs["kill"]["folder"] / "run.json")
     assert sweep_of("basic", how, name="b")[0] == 0
     for path in sweep.glob("*/summary.json"):
-        assert _results(path.parent) == _results(sweep.parent / "b" / path.parent.name)
+        other = sweep.parent / "b" / path.parent.name
+        assert _results(path.parent) == _results(other)
+        for name in ("metrics.csv", "episodes.csv", "policy.safetensors"):
+            assert path.with_name(name).read_bytes() == (other / name).read_bytes()
 
 
 @pytest.mark.experiment
