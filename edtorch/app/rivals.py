@@ -269,7 +269,7 @@ class Rivals(Work):
             with job.evaluation(), torch.inference_mode():
                 fresh = trials.run(rows, self._paid)
             job.take(self._entry(fresh))
-            job.pause()
+            job.whole()
 
     def _warn_of_excess(self) -> None:
         """A rival's piece, such as all the episodes of a batch method, is not divided."""

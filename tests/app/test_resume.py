@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -19,7 +20,7 @@ import pytest
 
 import edtorch
 from edtorch.app import job, learners
-from edtorch.run.training import Training
+from edtorch.app.job import Job
 from studies.same_runs import differences
 
 Command = Callable[..., Any]
@@ -40,26 +41,30 @@ KINDS = {
     "compiled": (*BICYCLE, "eval.minutes=[0.1]"),
     "recorded": (*BICYCLE, "log.transitions=true"),
     "Gymnasium": PENDULUM,
+    "rival": (
+        *("experiment=bicycle_adaptive_lqr", "seeds=1", "train.seconds=12", "rival.piece=2"),
+        *("train.until=null", "eval.episodes=1", "domain.time_limit=10", *QUIET),
+    ),
+    "offline": (
+        *("experiment=bicycle_offline", "seeds=2", "offline.share=all", "offline.steps=200"),
+        *("offline.improve=true", "eval.episodes=1", "eval.minutes=[]", *QUIET),
+    ),
 }
 
 
-class Killed(BaseException):
-    """As if the process had ended here."""
-
-
 def _interrupted(
-    command: Command, monkeypatch: pytest.MonkeyPatch, ticks: int, *arguments: str
+    command: Command, monkeypatch: pytest.MonkeyPatch, times: int, *arguments: str
 ) -> Any:
-    """A run that is asked to stop after so many ticks."""
-    advance = Training.advance
+    """A run that is asked to stop when its state is whole for the so-manieth time."""
+    whole, calls = Job.whole, itertools.count(1)
 
-    def one(training: Training, ahead: int) -> int:
-        if training.clock >= ticks:
+    def one(self: Job) -> None:
+        if next(calls) == times:
             os.kill(os.getpid(), signal.SIGTERM)
-        return advance(training, min(ahead, 16))
+        whole(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Training, "advance", one)
+        patch.setattr(Job, "whole", one)
         return command("edtorch-train", *arguments)
 
 
@@ -73,17 +78,12 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(job, "CHECKPOINT_SHARE", 1e9)
 
 
-@pytest.fixture(scope="module")
-def wholes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Runs without a break, made when they are asked for."""
-    return {}
-
-
-def _whole(wholes: dict[str, Path], kind: str, command: Command, workplace: Path) -> Path:
-    if kind not in wholes:
-        assert command("edtorch-train", *KINDS[kind], "hydra.run.dir=whole").status == 0
-        wholes[kind] = workplace / "whole"
-    return wholes[kind]
+def _arguments(kind: str, command: Command, workplace: Path) -> tuple[str, ...]:
+    if kind != "offline":
+        return KINDS[kind]
+    falls = ("experiment=bicycle_random_falls", "seeds=2", "train.seconds=15")
+    command("edtorch-train", *falls, "log.figures=false", "hydra.run.dir=falls")
+    return (*KINDS[kind], f"offline.data={workplace / 'falls'}")
 
 
 @pytest.mark.experiment
@@ -93,16 +93,16 @@ def test_a_run_that_was_broken_off_twice_is_the_same_run(
     command: Command,
     workplace: Path,
     monkeypatch: pytest.MonkeyPatch,
-    wholes: dict[str, Path],
 ) -> None:
     """Once where it was asked to stop, once as by SIGKILL, after its last checkpoint."""
-    whole = _whole(wholes, kind, command, workplace)
-    result = _interrupted(command, monkeypatch, 200, *KINDS[kind], "hydra.run.dir=cut")
+    whole, arguments = workplace / "whole", _arguments(kind, command, workplace)
+    assert command("edtorch-train", *arguments, "hydra.run.dir=whole").status == 0
+    result = _interrupted(command, monkeypatch, 4, *arguments, "hydra.run.dir=cut")
     assert result.status == 130 and "interrupted; saved in" in result.err
     folder = workplace / "cut"
     assert len(_checkpoints(folder)) == 3
     _checkpoints(folder)[-1].unlink()
-    assert _interrupted(command, monkeypatch, 330, "resume=cut").status == 130
+    assert _interrupted(command, monkeypatch, 3, "resume=cut").status == 130
     assert json.loads((folder / "status.json").read_text())["status"] == "interrupted"
     result = command("edtorch-train", "resume=cut")
     assert result.status == 0, result.err
@@ -119,7 +119,7 @@ def test_a_run_that_was_broken_off_twice_is_the_same_run(
 @pytest.fixture
 def cut(command: Command, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A run of the linear system that was interrupted."""
-    _interrupted(command, monkeypatch, 200, *LINEAR, "hydra.run.dir=cut")
+    _interrupted(command, monkeypatch, 15, *LINEAR, "hydra.run.dir=cut")
     return workplace / "cut"
 
 
@@ -236,7 +236,7 @@ def test_kernels_that_are_not_there_any_more_are_not_replaced_in_silence(
     command: Command, workplace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arguments = [each for each in LINEAR if each != "compute.native=off"]
-    _interrupted(command, monkeypatch, 100, *arguments, "hydra.run.dir=cut")
+    _interrupted(command, monkeypatch, 9, *arguments, "hydra.run.dir=cut")
 
     monkeypatch.setattr(learners, "into_kernels", lambda *parts: "uncompiled")
     line = _refused(command, workplace / "cut")
@@ -268,17 +268,11 @@ def test_the_lock_of_another_machine_holds_as_long_as_that_gives_signs_of_life(
     assert "in use by process 1 on elsewhere" in _refused(command, cut)
     with monkeypatch.context() as patch:
         patch.setenv("SLURM_JOB_ID", "17")  # started again on another node
-        patch.setattr(Training, "advance", _killed)
-        with pytest.raises(Killed):
-            command("edtorch-train", "resume=cut")
+        assert _interrupted(command, patch, 3, "resume=cut").status == 130
     _hold(cut, host="elsewhere")
     long_ago = time.time() - 700
     os.utime(cut / "run.lock", (long_ago, long_ago))
     assert command("edtorch-train", "resume=cut").status == 0
-
-
-def _killed(training: Training, ticks: int) -> int:
-    raise Killed
 
 
 def test_a_disk_that_takes_no_checkpoint_stops_no_learning(
@@ -309,7 +303,7 @@ def test_code_of_others_is_only_run_when_trusted(
     )
     monkeypatch.syspath_prepend(str(workplace))
     own = (*LINEAR, "domain._target_=mine_of_resume.Mine", "hydra.run.dir=own")
-    _interrupted(command, monkeypatch, 100, *own)
+    _interrupted(command, monkeypatch, 9, *own)
     line = _refused(command, workplace / "own")
     assert "domain._target_=mine_of_resume.Mine" in line and "trust=['mine_of_resume']" in line
     result = command("edtorch-train", "resume=own", "trust=[mine_of_resume]")

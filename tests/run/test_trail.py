@@ -14,8 +14,9 @@ def _trail(capacity: int = 5) -> Trail:
 
 def _add(trail: Trail, ticks: range) -> None:
     """State t of learner 0 in tick t, 100 + t of learner 1, which is active in even ones."""
-    states = torch.tensor([[[float(t)], [100.0 + t]] for t in ticks])
-    trail.extend(states, torch.tensor([[True, t % 2 == 0] for t in ticks]))
+    states = torch.tensor([[float(t), 100.0 + t] for t in ticks]).reshape(-1, 2, 1)
+    active = torch.tensor([[True, t % 2 == 0] for t in ticks], dtype=torch.bool).reshape(-1, 2)
+    trail.extend(states, active)
 
 
 @pytest.mark.parametrize("ticks", [0, 3, 5, 6, 17])
