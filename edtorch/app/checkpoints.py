@@ -28,7 +28,6 @@ CHANGEABLE = (
     "train.seconds",
     *(f"log.{name}" for name in ("checkpoint_wall", "checkpoints", "progress", "figures")),
     "log.animation",
-    "sweep.retry",
     "debug",
 )
 """Settings that may be others when a run goes on: what it computes does not depend on them."""

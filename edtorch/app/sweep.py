@@ -175,6 +175,6 @@ def _told(sweep: Sweep) -> str:
         print(f"{len(jobs)} jobs done: {path}")
         return ""
     print(table, file=sys.stderr)
-    counts = Counter(job.status for job in jobs)
-    listed = ", ".join(f"{count} {status}" for status, count in counts.items())
+    counts = Counter(job.status for job in jobs).most_common()
+    listed = ", ".join(f"{count} {status}" for status, count in counts)
     return f"of {len(jobs)} jobs {listed}: {path}"

@@ -12,18 +12,21 @@ import torch
 from sims.linear import LinearSystem
 
 MENDED = "mended"
-"""A file in the working directory; where it is, nothing goes wrong any more."""
+"""A file in the working directory; where it is, what it names, or where it is empty nothing, goes
+wrong any more."""
 THREADS = "threads"
 """A file that says how many threads the process of a job was given."""
 
 
 class Doomed(LinearSystem):
-    """how: fine; refuse: its arguments are refused; defect: it raises when it has been stepped a
-    hundred times; kill: its process ends at that moment; wait: it waits there for a signal."""
+    """how begins with refuse: its arguments are refused; defect: it raises when it has been stepped
+    a hundred times; kill: its process ends at that moment; wait: it waits there for a signal;
+    anything else: nothing goes wrong."""
 
     def __init__(self, *, how: str = "fine", **more: Any) -> None:
         super().__init__(**more)
-        self._how = "fine" if Path(MENDED).exists() else how
+        mended = Path(MENDED).exists() and how.startswith(Path(MENDED).read_text())
+        self._how = "fine" if mended else how.rstrip("0123456789")
         self._steps = 0
         if self._how == "refuse":
             raise ValueError(f"how={how}: expected another fate")

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -318,6 +319,32 @@ def test_a_job_that_is_killed(
         assert _results(path.parent) == _results(other)
         for name in ("metrics.csv", "episodes.csv", "policy.safetensors"):
             assert path.with_name(name).read_bytes() == (other / name).read_bytes()
+
+
+@pytest.mark.long
+def test_six_of_twenty_four_are_killed(
+    sweep_of: Callable[..., tuple[int, str]], workplace: Path
+) -> None:
+    """Repeated once, the sweep has done all but two that fail whenever they are tried."""
+    hows = [*(f"kill{k}" for k in range(6)), "defect0", "refuse0"]
+    hows += [f"fine{k}" for k in range(16)]
+    how = f"+domain.how={','.join(hows)}"
+    assert sweep_of("submitit_local", how)[0] == 1
+    sweep, other = (workplace / "runs/sweeps" / name for name in "ab")
+    assert Counter(job["status"] for job in _jobs(sweep).values()) == {
+        "done": 16,
+        "failed": 2,
+        "unfinished": 6,
+    }
+    (workplace / MENDED).write_text("kill")
+    status, err = sweep_of("submitit_local", how)
+    assert status == 1
+    assert "of 24 jobs 22 done, 2 failed" in err.splitlines()[-1]
+    assert sweep_of("basic", how, name="b")[0] == 1
+    for name, job in _jobs(other).items():
+        assert (job["status"] == "failed") == (name in ("defect0", "refuse0"))
+        if job["status"] == "done":
+            assert _results(sweep / job["folder"]) == _results(other / job["folder"])
 
 
 @pytest.mark.experiment
