@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
+import textwrap
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -139,7 +140,8 @@ def following(command: str) -> Iterator[None]:
         line = _told(sweep)
         if debugging() or not is_of_launcher(error):
             raise
-        stopped = f"the launcher has stopped ({type(error).__name__})"
+        why = textwrap.shorten(str(error).partition("\n")[0], 100)
+        stopped = f"the launcher has stopped ({type(error).__name__}: {why})"
         print(f"{command}: {stopped}; {line}", file=sys.stderr)
         raise SystemExit(1) from error
     else:

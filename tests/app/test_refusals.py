@@ -199,7 +199,6 @@ REFUSED = [
     (["-m", "sweep.name=../a"], r"sweep\.name=\.\./a: expected letters, digits"),
     (["-m", "sweep.name=a", "sweep.retry=3"], r"sweep\.retry=3: expected true or false"),
     (["-m", "sweep.name=a", "domain=foo,bicycle"], r"domain=foo: expected one of"),
-    (["-m", "hydra/launcher=slurm"], r"hydra/launcher=slurm: expected a machine with SLURM"),
 ]
 
 

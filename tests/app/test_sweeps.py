@@ -21,6 +21,7 @@ from omegaconf import OmegaConf
 from edtorch.app.launchers import share_cores
 from edtorch.app.lock import LOCK
 from edtorch.app.sweep_names import hash_of, significant
+from edtorch.app.sweep_record import Record
 from tests.app.doomed import MENDED, THREADS
 
 Command = Callable[..., Any]
@@ -83,6 +84,21 @@ class TestNames:
     def test_is_stable(self) -> None:
         """Sweeps of yesterday are found again."""
         assert hash_of(["step.alpha=0.1", "seed=1"]) == "b5d76b8c65"
+
+
+class TestAsTyped:
+    """A job in another process speaks of its settings as the user did."""
+
+    def test_former_names_and_values_of_its_own(self) -> None:
+        sweep = Record(("noise.exploration=0.1,0.2", "+reward.state.lean=1", "step=fast,plain"))
+        job = ["++exploration.deviation=0.2", "++reward.state.lean=1", "step=fast", "~train"]
+        wanted = ["noise.exploration=0.2", "+reward.state.lean=1", "step=fast", "~train"]
+        assert sweep.as_typed(job) == wanted
+
+    def test_options_that_were_written_out(self) -> None:
+        written = "policy={_target_: my.MLP, hidden: 32}"
+        sweep = Record((written, "seed=1,2"))
+        assert sweep.as_typed(["policy=written_out", "seed=2"]) == [written, "seed=2"]
 
 
 @pytest.mark.experiment
@@ -229,6 +245,35 @@ def test_a_folder_that_is_not_of_a_sweep(
     assert [path.name for path in folder.iterdir()] == [name]
 
 
+def test_a_machine_without_slurm(
+    command: Command, workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(workplace))
+    result = command("edtorch-train", "-m", *TINY, "hydra/launcher=slurm")
+    assert result.status == 1
+    assert result.line == (
+        "edtorch-train: hydra/launcher=slurm: expected a machine with SLURM, but srun is not in the"
+        " PATH"
+    )
+    assert list(workplace.iterdir()) == []
+
+
+@pytest.mark.experiment
+def test_a_scheduler_that_refuses(
+    sweep_of: Callable[..., tuple[int, str]], workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it says is told; the sweep can be submitted again."""
+    for name, lines in (("srun", ""), ("sbatch", "echo sbatch: invalid partition >&2; exit 1")):
+        (workplace / name).write_text(f"#!/bin/sh\n{lines}\n")
+        (workplace / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{workplace}{os.pathsep}{os.environ['PATH']}")
+    status, err = sweep_of("slurm", "seed=1,2")
+    assert status == 1
+    assert "sbatch: invalid partition" in err.splitlines()[-1]
+    assert "of 2 jobs 2 not begun" in err.splitlines()[-1]
+    assert sweep_of("local", "seed=1,2")[0] == 0
+
+
 @pytest.mark.experiment
 def test_a_report_of_a_sweep(command: Command, workplace: Path) -> None:
     """Its best setting is the one whose summary says so; what is not done is said."""
@@ -306,7 +351,7 @@ def test_a_job_that_is_killed(
     sweep = workplace / "runs/sweeps/a"
     jobs = _jobs(sweep)
     assert jobs["kill"]["status"] == "unfinished"
-    assert "edtorch-train: the launcher has stopped" in err.splitlines()[-1]
+    assert "edtorch-train: the launcher has stopped (" in err.splitlines()[-1]
     assert f"{jobs['kill']['folder']}  domain.how=kill  unfinished: ended without" in err
     if launcher == "submitit_local":
         assert jobs["fine"]["status"] == "done"
