@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,13 @@ ABOUT = frozenset(("command", "versions"))
 
 def differences(one: Path, other: Path) -> list[str]:
     """What is not the same in two run folders: policies, ``summary.json``, ``metrics.csv``,
-    ``episodes.csv``, scalars of TensorBoard; empty if everything is."""
-    parts = {
+    ``episodes.csv``, transitions, scalars of TensorBoard; empty if everything is."""
+    parts: dict[str, Callable[[Path], Any]] = {
         "policy.safetensors": _policies,
         "summary.json": _summary,
         "metrics.csv": _rows,
         "episodes.csv": _rows,
+        "transitions.part": Path.read_bytes,
     }
     found = []
     for name, read in parts.items():
