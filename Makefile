@@ -35,7 +35,7 @@ ride: $(VENV)/.core  ## learn to ride a bicycle (the main job)
 test: $(VENV)/.dev  ## all tests but the long ones
 	$(PYTEST) $(ARGS)
 
-test-long: $(VENV)/.dev  ## all kinds of kernels; the committed results in runs/reference
+test-long: $(VENV)/.dev  ## all kinds of kernels; killed runs; the results in runs/reference
 	$(PYTEST) -m "reference or long" $(ARGS)
 
 test-browser: $(VENV)/.dev browser  ## the tests of report.html in headless Chromium
