@@ -61,7 +61,7 @@ class Keeper:
             files = [path for sink in job.sinks for path in sink.flush()]
             files += work.flush(folder)
             save_checkpoint(folder, work, state, files, job.config)
-            save_policy(folder / POLICY, work.stored, work.card)
+            _save_policies(work, folder)
         except OSError as error:
             why = error.strerror or str(error)
             if why not in self._said:
@@ -76,13 +76,19 @@ class Keeper:
 def save_learned(work: Work, folder: Path) -> None:
     """Save what there is when learning is over."""
     work.save(folder)
-    save_policy(folder / POLICY, work.stored, work.card)
+    _save_policies(work, folder)
+
+
+def _save_policies(work: Work, folder: Path) -> None:
+    """As far as there are any."""
+    if stored := work.stored:
+        save_policy(folder / POLICY, stored, work.card)
 
 
 def save_results(job: Job, folder: Path, board: TensorBoardSink | None) -> dict[str, Any]:
     """After the evaluation: policies, figures and summary; returns the content of the latter."""
     work, log = job.work, job.config.log
-    save_policy(folder / POLICY, work.stored, work.card)
+    _save_policies(work, folder)
     began = time.monotonic()
     figure = work.draw(folder, animate=log.animation) if log.figures else None
     if board is not None and figure is not None:

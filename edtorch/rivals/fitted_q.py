@@ -251,8 +251,11 @@ class FittedQSearch(AccountedSearch):
     def stored(self) -> Parameters:
         """The forests themselves (``edtorch.rivals.base.Storing``): the nodes of all trees of all
         seeds one after the other, ``first`` ``[S, T]`` of each tree; left and right are counted
-        from there, and -1 at a leaf; at most the threshold goes left."""
+        from there, and -1 at a leaf; at most the threshold goes left.  Nothing before there are
+        any."""
         forests = [forest for forest in self._forests if forest is not None]
+        if not forests:
+            return {}
         sizes = np.cumsum([0, *(len(forest.value) for forest in forests)])
         starts = [forest.first[:-1] + size for forest, size in zip(forests, sizes, strict=False)]
         kinds = {

@@ -21,6 +21,7 @@ FITTED_Q = (
     *("rival.trees=2", *SMALL),
 )
 NAMES = {
+    "checkpoints",
     "config.yaml",
     "metrics.csv",
     "policy.safetensors",

@@ -90,7 +90,7 @@ def test_own_domain(
     assert status["status"] == "done"
     _, err = bad.communicate(timeout=patience)
     assert err == "edtorch-train: domain.push=-1.0: expected a number > 0\n"
-    evaluation = start("edtorch-eval", "run=run", "episodes=2", **path)
+    evaluation = start("edtorch-eval", "run=run", "episodes=2", "trust=[my_package]", **path)
     out, err = evaluation.communicate(timeout=patience)
     assert evaluation.returncode == 0, err
     assert "shaping reward, summed over time" in " ".join(out.split())

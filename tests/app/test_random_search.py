@@ -54,6 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, quick_command: Command) -> 
 def test_the_folder_is_complete(folder: Path) -> None:
     names = {p.name for p in folder.iterdir() if not p.name.startswith("events.out")}
     assert names == {
+        "checkpoints",
         "config.yaml",
         "metrics.csv",
         "policies.csv",
