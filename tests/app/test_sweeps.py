@@ -340,7 +340,9 @@ def test_in_processes_of_their_own(
 
 
 @pytest.mark.experiment
-@pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
+@pytest.mark.parametrize(
+    "launcher", ["joblib", pytest.param("submitit_local", marks=pytest.mark.long)]
+)
 def test_a_job_that_is_killed(
     sweep_of: Callable[..., tuple[int, str]], workplace: Path, launcher: str
 ) -> None:
