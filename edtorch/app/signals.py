@@ -40,6 +40,8 @@ class Stop:
 
     def _handle(self, signum: int, frame: FrameType | None) -> None:
         if self._is_handled_elsewhere(signum):
+            if self.asked:
+                return
             self.waiting.append(signum)
             if not (self._deaf or self._patient):
                 self.hand_on()
@@ -56,12 +58,27 @@ class Stop:
         return handler is not None and handler not in _ENDS_THE_PROCESS
 
     def hand_on(self) -> None:
-        """Call the handlers that were there before for the signals in ``waiting``, which may end
-        the process."""
+        """Call the handlers that were there before for the signals in ``waiting``.
+
+        Raises SystemExit where one ends the process, or raises any error.
+        """
         while self.waiting:
             signum = self.waiting.pop(0)
             handler: Callable[[int, FrameType | None], Any] = self._before[signum]
-            handler(signum, None)
+            try:
+                handler(signum, None)
+            except SystemExit:
+                self._ignore_more()
+                raise
+            except Exception as error:
+                self._ignore_more()
+                # The run was interrupted, it has not failed: submitit raises where it gives up.
+                raise SystemExit(str(error)) from error
+
+    def _ignore_more(self) -> None:
+        """Nothing may interrupt the end of a process that was asked to stop."""
+        self.asked = True
+        self.waiting.clear()
 
     @contextmanager
     def listening(self, *, ending: bool = True) -> Iterator[None]:
@@ -81,7 +98,6 @@ class Stop:
             yield
         finally:
             for number, handler in self._before.items():
-                # Nothing may interrupt the end of a process that was asked to stop.
                 signal.signal(number, signal.SIG_IGN if self.asked and ending else handler)
 
     @contextmanager

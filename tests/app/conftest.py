@@ -62,7 +62,8 @@ def call(command: str, *arguments: str) -> Result:
     for number, handler in handlers.items():
         signal.signal(number, handler)
     code = left.value.code
-    return Result(code if isinstance(code, int) else 0, out.getvalue(), err.getvalue())
+    status = code if isinstance(code, int) else int(code is not None)
+    return Result(status, out.getvalue(), err.getvalue())
 
 
 def environment() -> dict[str, str]:

@@ -6,9 +6,11 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -21,8 +23,10 @@ from edtorch.app.checkpoints import last_checkpoint
 from edtorch.app.rundir import load_config
 from edtorch.app.signals import SIGNALS, Stop
 from edtorch.run.training import Training
+from studies.same_runs import differences
 
 Start = Callable[..., subprocess.Popen[str]]
+Handler = Callable[[int, FrameType | None], None]
 
 
 def _wait_for(
@@ -138,15 +142,157 @@ def test_full_disk_is_one_line_and_recorded(
     assert status["status"] == "failed"
 
 
-class TestStop:
-    @pytest.fixture(autouse=True)
-    def handlers(self) -> Iterator[None]:
-        """A process that has been stopped is deaf from then on; this one goes on."""
-        before = {number: signal.getsignal(number) for number in SIGNALS}
-        yield
-        for number, handler in before.items():
-            signal.signal(number, handler)
+@pytest.fixture
+def handlers() -> Iterator[None]:
+    """A process that has been stopped is deaf from then on; this one goes on."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
+
+def _exit(signum: int, frame: FrameType | None) -> None:
+    sys.exit(3)
+
+
+def _give_up(signum: int, frame: FrameType | None) -> None:
+    raise RuntimeError("not requeued")
+
+
+@pytest.mark.usefixtures("handlers")
+class TestSomebodyElseHandlesTheSignal:
+    """As under submitit: the state is saved, and what happens then is for that handler to say."""
+
+    ARGUMENTS = (
+        *("seeds=2", "train.seconds=6", "train.successes=null", "eval.episodes=1"),
+        *("compute.native=off", "log.figures=false", "log.checkpoint_wall=1e6"),
+    )
+
+    @pytest.fixture
+    def signalled(
+        self, command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> Callable[[Handler, str], Any]:
+        """A run that gets SIGUSR2 once, after two seconds of learning."""
+
+        def run(handler: Handler, folder: str) -> Any:
+            advance, sent = Training.advance, []
+
+            def one(training: Training, ahead: int) -> int:
+                if training.clock >= 200 and not sent:
+                    sent.append(training.clock)
+                    signal.raise_signal(signal.SIGUSR2)
+                return advance(training, min(ahead, 16))
+
+            signal.signal(signal.SIGUSR2, handler)
+            with monkeypatch.context() as patch:
+                patch.setattr(Training, "advance", one)
+                return command("edtorch-train", *self.ARGUMENTS, f"hydra.run.dir={folder}")
+
+        return run
+
+    @pytest.fixture
+    def whole(self, command: Callable[..., Any], workplace: Path) -> Path:
+        result = command("edtorch-train", *self.ARGUMENTS, "hydra.run.dir=whole")
+        assert result.status == 0, result.err
+        return workplace / "whole"
+
+    @pytest.mark.experiment
+    @pytest.mark.parametrize(("handler", "status"), [(_exit, 3), (_give_up, 1)])
+    def test_and_ends_the_process(
+        self,
+        handler: Handler,
+        status: int,
+        signalled: Callable[[Handler, str], Any],
+        command: Callable[..., Any],
+        workplace: Path,
+        whole: Path,
+    ) -> None:
+        """The run was interrupted, it has not failed, and goes on from there."""
+        folder = workplace / "cut"
+        assert signalled(handler, "cut").status == status
+        assert json.loads((folder / "status.json").read_text())["status"] == "interrupted"
+        saved = last_checkpoint(folder)
+        assert saved is not None and saved.seconds == pytest.approx(2, abs=0.5)
+        assert not (folder / "run.lock").exists()
+        assert command("edtorch-train", "resume=cut").status == 0
+        assert differences(whole, folder) == []
+
+    @pytest.mark.experiment
+    def test_and_lets_it_go_on(
+        self, signalled: Callable[[Handler, str], Any], workplace: Path, whole: Path
+    ) -> None:
+        folder = workplace / "bypassed"
+        found: list[float] = []
+
+        def bypass(signum: int, frame: FrameType | None) -> None:
+            saved = last_checkpoint(folder)
+            assert saved is not None
+            found.append(saved.seconds)
+
+        result = signalled(bypass, "bypassed")
+        assert result.status == 0, result.err
+        assert found == [pytest.approx(2, abs=0.5)]
+        assert json.loads((folder / "status.json").read_text())["status"] == "done"
+        assert differences(whole, folder) == []
+
+    @pytest.mark.parametrize("number", SIGNALS)
+    def test_the_handler_waits_for_the_tick_and_for_what_is_written(
+        self, number: signal.Signals
+    ) -> None:
+        happened: list[str] = []
+        signal.signal(number, lambda *_: happened.append("handled"))
+        stop = Stop()
+        with stop.listening():
+            with stop.between_ticks():
+                signal.raise_signal(number)
+                happened.append("saved")
+                stop.hand_on()
+            with stop.not_now():
+                signal.raise_signal(number)
+                happened.append("written")
+            signal.raise_signal(number)
+        assert happened == ["saved", "handled", "written", "handled", "handled"]
+        assert not stop.asked
+
+    def test_a_signal_that_comes_while_another_is_handled_waits(self) -> None:
+        """``scontrol requeue``, which submitit calls on SIGUSR2, sends SIGTERM."""
+        happened: list[str] = []
+
+        def requeue(signum: int, frame: FrameType | None) -> None:
+            signal.raise_signal(signal.SIGTERM)
+            happened.append("requeued")
+
+        signal.signal(signal.SIGUSR2, requeue)
+        signal.signal(signal.SIGTERM, lambda *_: happened.append("bypassed"))
+        stop = Stop()
+        with stop.listening(), stop.between_ticks():
+            signal.raise_signal(signal.SIGUSR2)
+            stop.hand_on()
+        assert happened == ["requeued", "bypassed"]
+
+    def test_nothing_interrupts_a_process_that_a_handler_ends(self) -> None:
+        """SLURM may send a signal twice, and a job that is in the queue cannot be put there."""
+        happened: list[str] = []
+
+        def requeue(signum: int, frame: FrameType | None) -> None:
+            happened.append("requeued")
+            sys.exit(3)
+
+        signal.signal(signal.SIGUSR2, requeue)
+        stop = Stop()
+        with pytest.raises(SystemExit), stop.listening(), stop.between_ticks():
+            signal.raise_signal(signal.SIGUSR2)
+            signal.raise_signal(signal.SIGUSR2)
+            try:
+                stop.hand_on()
+            finally:
+                signal.raise_signal(signal.SIGUSR2)
+        signal.raise_signal(signal.SIGUSR2)
+        assert happened == ["requeued"]
+
+
+@pytest.mark.usefixtures("handlers")
+class TestStop:
     def test_interrupts_at_once_elsewhere(self) -> None:
         stop = Stop()
         with stop.listening(), pytest.raises(KeyboardInterrupt):
