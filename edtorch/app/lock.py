@@ -9,6 +9,7 @@ import json
 import os
 import socket
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,8 +21,11 @@ from edtorch.app.errors import ConfigError
 from edtorch.run.files import write_text
 
 LOCK = "run.lock"
-STALE = 600.0
-"""Seconds without a sign of life after which a process on another machine counts as dead."""
+BEAT = 15.0
+"""Seconds between the signs of life that a process gives."""
+STALE = 120.0
+"""Seconds without one after which a process on another machine counts as dead.  A network file
+system may show a time that is a minute old."""
 
 
 class InUse(ConfigError):
@@ -32,8 +36,8 @@ class Lock:
     """The lock of a run's folder: a file that names host and process.
 
     A process that is dead has no lock: one of this machine by its number and its start, one of
-    another machine if it was an earlier start of the same SLURM job, or has not called ``alive``
-    for ``STALE`` seconds.
+    another machine if it was an earlier start of the same SLURM job, or has given no sign of life
+    for ``STALE`` seconds: the file is touched as long as the process lives, whatever it does.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -56,9 +60,12 @@ class Lock:
                     f" {self._path}"
                 )
             write_text(self._path, json.dumps(self._holder) + "\n")
+        over = threading.Event()
+        threading.Thread(target=self._live, args=(over,), daemon=True).start()
         try:
             yield
         finally:
+            over.set()
             with contextlib.suppress(OSError):
                 self._path.unlink(missing_ok=True)
 
@@ -69,10 +76,10 @@ class Lock:
             return None
         return f"process {holder.get('pid')} on {holder.get('host')}"
 
-    def alive(self) -> None:
-        """Give a sign of life."""
-        with contextlib.suppress(OSError):
-            os.utime(self._path)
+    def _live(self, over: threading.Event) -> None:
+        while not over.wait(BEAT):
+            with contextlib.suppress(OSError):
+                os.utime(self._path)
 
     def _is_alive(self, holder: dict[str, Any]) -> bool:
         if holder == self._holder:

@@ -48,7 +48,6 @@ class Keeper:
 
     def keep(self, job: Job) -> None:
         """Save the present state."""
-        self._folder.lock.alive()
         self.write(job, job.state())
 
     def write(self, job: Job, state: Mapping[str, Any]) -> None:
