@@ -111,8 +111,9 @@ class RunFolder:
         }
         files = (self.path / ABOUT, self.path / CONFIG)
         try:
-            write_text(self.path / CONFIG, settings_text(config))
+            # The configuration makes it a run, which goes on with what is there.
             write_text(self.path / ABOUT, json_text(about))
+            write_text(self.path / CONFIG, settings_text(config))
             self._run()
         except OSError as error:
             with contextlib.suppress(OSError):

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 import edtorch
-from edtorch.app import job, learners
+from edtorch.app import job, learners, rundir
 from edtorch.app.job import Job
 from studies.same_runs import differences
 
@@ -221,6 +221,27 @@ def test_what_is_no_run_is_refused(command: Command, workplace: Path) -> None:
     assert "does not exist" in command("edtorch-train", "resume=missing").line
     assert "resume=: expected the folder of a run" in command("edtorch-train", "resume=").line
     assert sorted(path.name for path in workplace.iterdir()) == ["empty"]
+
+
+@pytest.mark.parametrize(("written", "again"), [(1, "hydra.run.dir=x"), (2, "resume=x")])
+def test_a_run_that_was_broken_off_as_it_began(
+    command: Command, monkeypatch: pytest.MonkeyPatch, written: int, again: str
+) -> None:
+    """With its configuration it is a run, which has all that going on needs."""
+    write, left = rundir.write_text, [None] * written
+
+    def until_the_end(path: Path, text: str) -> None:
+        if not left:
+            raise KeyboardInterrupt
+        left.pop()
+        write(path, text)
+
+    arguments = [*LINEAR, "train.seconds=5"]
+    with monkeypatch.context() as patch:
+        patch.setattr(rundir, "write_text", until_the_end)
+        assert command("edtorch-train", *arguments, "hydra.run.dir=x").status == 130
+    result = command("edtorch-train", *(arguments if written == 1 else ()), again)
+    assert result.status == 0, result.err
 
 
 def test_a_run_of_an_earlier_version_is_refused(command: Command, cut: Path) -> None:
