@@ -19,8 +19,8 @@ TEST_ENV := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEN
     PATH="$$PWD/$(VENV)/bin:$$PATH"
 PYTEST := $(TEST_ENV) $(PY) -m pytest -n $(JOBS) --dist worksteal
 
-.PHONY: help ride test test-long test-browser test-paper browser check format bench paper env dev clean \
-    distclean
+.PHONY: help ride test test-long test-browser test-paper test-slurm browser slurm check format bench \
+    paper env dev clean distclean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -44,6 +44,9 @@ test-browser: $(VENV)/.dev browser  ## the tests of report.html in headless Chro
 test-paper: $(VENV)/.paper $(VENV)/.dev  ## the test of make paper quick=1, for every night
 	$(PYTEST) -m paper -o faulthandler_timeout=3600 $(ARGS)
 
+test-slurm: $(VENV)/.dev slurm  ## runs on a SLURM of this machine, for root
+	$(TEST_ENV) $(PY) -m pytest -m slurm -o faulthandler_timeout=1800 $(ARGS)
+
 # A page is checked where it is read, and no wheel brings a browser: Debian's package does, for root.
 browser:
 	@for name in "$(CHROMIUM)" chromium chromium-browser google-chrome; do \
@@ -54,6 +57,13 @@ browser:
 	    DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends chromium; \
 	else \
 	    echo "no Chromium: install it, or name one: make test-browser CHROMIUM=PATH" >&2; exit 1; \
+	fi
+
+# Debian's packages bring it, for root; elsewhere the tests are skipped and say why.
+slurm:
+	@if ! command -v slurmctld >/dev/null && [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && \
+	    DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends slurm-wlm munge; \
 	fi
 
 check: $(VENV)/.dev  ## format, lint, types
