@@ -27,6 +27,9 @@ def differences(one: Path, other: Path) -> list[str]:
         "episodes.csv": _rows,
         "transitions.part": Path.read_bytes,
     }
+    for folder in (one, other):
+        if not folder.is_dir():
+            raise FileNotFoundError(f"{folder}: expected the folder of a run")
     found = []
     for name, read in parts.items():
         there = [(folder / name).exists() for folder in (one, other)]

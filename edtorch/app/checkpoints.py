@@ -132,10 +132,9 @@ def check_same_run(checkpoint: SavedJob, config: Settings) -> None:
             " has lived"
         )
     now = flat_settings(Settings(without_objects(config)))
-    for key in dict.fromkeys([*checkpoint.settings, *now]):
-        if key in CHANGEABLE:
-            continue
-        before, after = checkpoint.settings.get(key), now.get(key)
+    # What is not set is as it is by default, and is written down only where settings are complete.
+    for key in checkpoint.settings.keys() & now.keys() - set(CHANGEABLE):
+        before, after = checkpoint.settings[key], now[key]
         if before != after:
             raise ConfigError(
                 f"{checkpoint.path}: made with {key}={before}, but the run has {key}={after};"

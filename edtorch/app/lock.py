@@ -86,7 +86,12 @@ class Lock:
             return False  # a file that was copied, or an earlier call in this process
         if holder.get("host") == self._holder["host"]:
             pid = holder.get("pid")
-            return isinstance(pid, int) and _runs(pid) and _started(pid) == holder.get("started")
+            return (
+                isinstance(pid, int)
+                and pid > 0
+                and _runs(pid)
+                and _started(pid) == holder.get("started")
+            )
         job = holder.get("slurm_job")
         if job is not None and job == self._holder["slurm_job"]:
             return False

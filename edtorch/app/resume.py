@@ -8,14 +8,22 @@ from typing import Any
 
 from rich.console import Console
 
-from edtorch.app.checkpoints import CHANGEABLE, check_same_run, cut, last_checkpoint
+from edtorch.app.checkpoints import (
+    CHANGEABLE,
+    CHECKPOINTS,
+    check_same_run,
+    cut,
+    last_checkpoint,
+)
 from edtorch.app.errors import ConfigError
 from edtorch.app.learned import read_summary
 from edtorch.app.rundir import (
     POLICY,
     SUMMARY,
     RunFolder,
+    about_of,
     as_settings,
+    holds_state,
     read_config,
     status_of,
 )
@@ -67,6 +75,7 @@ def resume_with(
     run_folder = RunFolder(folder, "run")
     _, begin = planned(config)
     with run_folder.lock.held():
+        about_of(folder)
         if status_of(folder) == "done" and not _is_larger(folder, config):
             say(f"the run in {folder} is complete: nothing is left to do")
             return read_summary(folder / SUMMARY)
@@ -86,6 +95,11 @@ def _is_larger(folder: Path, config: Settings) -> bool:
     return config.train.seconds != before
 
 
+def _has_rows(path: Path) -> bool:
+    """Whether a CSV file has more than its header."""
+    return path.is_file() and len(path.read_bytes().splitlines()) > 1
+
+
 def _clear(folder: Path) -> None:
     """Of a run without a checkpoint nothing is continued.  Raises ConfigError for one of an earlier
     version, in which there is more than can be continued."""
@@ -93,6 +107,12 @@ def _clear(folder: Path) -> None:
         raise ConfigError(
             f"run={folder}: was made by an earlier version, whose checkpoint.pt does not hold the"
             " whole state; expected a run with a folder checkpoints"
+        )
+    if holds_state(folder) and _has_rows(folder / "metrics.csv"):
+        raise ConfigError(
+            f"run={folder}: has no checkpoint in {folder / CHECKPOINTS}, though it had begun to"
+            " learn: only half of the run was copied, or none could be saved; expected the whole"
+            " folder, or a new run"
         )
     cut(folder, {})
     (folder / POLICY).unlink(missing_ok=True)

@@ -125,7 +125,7 @@ class RunFolder:
 
     def go_on(self, config: Settings, tick: int) -> None:
         """Write that the run goes on, after ``tick`` learner ticks, with these settings."""
-        about = json.loads((self.path / ABOUT).read_text(encoding="utf-8"))
+        about = about_of(self.path)
         again = {
             "command": command_line(),
             "host": socket.gethostname(),
@@ -140,9 +140,9 @@ class RunFolder:
         write_text(self.path / ABOUT, json_text({**about, "resumed": resumed}))
         self._run()
 
-    def add(self, fact: str, value: str) -> None:
+    def add(self, fact: str, value: str | bool) -> None:
         """One more line in ``run.json``."""
-        about = json.loads((self.path / ABOUT).read_text(encoding="utf-8"))
+        about = about_of(self.path)
         write_text(self.path / ABOUT, json_text({**about, fact: value}))
 
     def _run(self) -> None:
@@ -172,6 +172,23 @@ def status_of(folder: Path) -> str | None:
         return json.loads((folder / STATUS).read_text(encoding="utf-8"))["status"]
     except (OSError, ValueError, LookupError, TypeError):
         return None
+
+
+def about_of(folder: Path) -> dict[str, Any]:
+    """The content of ``run.json``.  Raises FileProblem."""
+    path = folder / ABOUT
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FileProblem(f"{path}: expected the record of a run ({error})") from error
+    if not isinstance(content, dict):
+        raise FileProblem(f"{path}: expected the record of a run, a mapping")
+    return content
+
+
+def holds_state(folder: Path) -> bool:
+    """Whether the method of a run saves its state; FileProblem where ``run.json`` is none."""
+    return about_of(folder).get("holds_state", True) is not False
 
 
 def load_config(folder: Path) -> Settings:

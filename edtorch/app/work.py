@@ -76,11 +76,13 @@ def _done(
     )
     if checkpoint is not None:
         _restore(job, checkpoint, folder)
+    holds_state = work.state() is not None
     if not run_folder.is_running:
         run_folder.go_on(config, work.ticks)
-        if work.state() is None:
+        if not holds_state:
             logger.warning("%s: does not hold its state, and begins anew", work.title)
     run_folder.add("computed", work.computed)
+    run_folder.add("holds_state", holds_state)
     job.sinks, board = open_sinks(work, config, folder)
     if config.log.progress:
         job.sinks.append(ConsoleSink(console))

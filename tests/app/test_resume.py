@@ -169,6 +169,9 @@ def test_before_the_first_checkpoint_a_run_begins_at_tick_0(
     command: Command, workplace: Path, cut: Path
 ) -> None:
     shutil.rmtree(cut / "checkpoints")
+    assert "has no checkpoint in" in _refused(command, cut)  # there was one: rows came after it
+    metrics = cut / "metrics.csv"
+    metrics.write_bytes(metrics.read_bytes().splitlines(keepends=True)[0])
     result = command("edtorch-train", "resume=cut")
     assert result.status == 0 and "has no checkpoint: it begins at tick 0" in result.out
     command("edtorch-train", *LINEAR, "hydra.run.dir=whole")
@@ -294,23 +297,34 @@ def test_the_lock_of_another_machine_holds_as_long_as_that_gives_signs_of_life(
 
 
 def test_a_disk_that_takes_no_checkpoint_stops_no_learning(
-    command: Command, workplace: Path, cut: Path
+    command: Command, workplace: Path
 ) -> None:
-    """Here a folder that is none.  The last good checkpoint stays, and learning goes on."""
-    first, *_ = _checkpoints(cut)
-    kept = first.read_bytes()
-    result = command("edtorch-train", "resume=cut", "train.seconds=61")
-    assert result.status == 0
-    shutil.rmtree(cut / "checkpoints")
-    (cut / "checkpoints").write_bytes(kept)
-    result = command("edtorch-train", *LINEAR, "hydra.run.dir=new")
-    shutil.rmtree(workplace / "new" / "checkpoints")
-    assert result.status == 0
-    result = command("edtorch-train", "resume=cut", "train.seconds=62")
+    """Here a folder that is none."""
+    (workplace / "x").mkdir()
+    (workplace / "x" / "checkpoints").write_text("no folder")
+    result = command("edtorch-train", *LINEAR, "hydra.run.dir=x")
     assert result.status == 0
     assert result.err.count("the state could not be saved") == 1
-    assert (cut / "checkpoints").read_bytes() == kept
-    assert json.loads((cut / "status.json").read_text())["status"] == "done"
+    assert (workplace / "x" / "checkpoints").read_text() == "no folder"
+    assert json.loads((workplace / "x" / "status.json").read_text())["status"] == "done"
+
+
+@pytest.mark.parametrize("content", ["[]", "{", None])
+def test_a_record_that_is_none_is_refused(command: Command, cut: Path, content: str | None) -> None:
+    (cut / "run.json").unlink()
+    if content is not None:
+        (cut / "run.json").write_text(content)
+    assert "run.json: expected the record of a run" in _refused(command, cut)
+
+
+def test_runs_of_python_go_on_whatever_they_were_given(workplace: Path) -> None:
+    """Settings that ``learn`` leaves to their defaults are in no checkpoint."""
+    own = ["eval.episodes=1", "log.figures=false"]
+    learn = partial(edtorch.learn, "Pendulum-v1", dt=0.05, overrides=own, progress=False)
+    learn(seconds=2.0, save=workplace / "short")
+    learn(seconds=4.0, save=workplace / "long")
+    edtorch.load(workplace / "short").resume(seconds=4.0, progress=False)
+    assert differences(workplace / "long", workplace / "short") == []
 
 
 def test_code_of_others_is_only_run_when_trusted(
