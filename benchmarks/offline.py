@@ -55,7 +55,7 @@ def failures(episodes: int, rows: int) -> dict[str, Any]:
 def learn(overrides: Sequence[str]) -> None:
     config = compose([*SETTINGS, *overrides])
     work = RecordedLearners(build_offline(config), config)
-    job = Job(work, config, Stop(), Console(quiet=True), [], lambda *_: None)
+    job = Job(work, config, Stop(), Console(quiet=True), lambda job: None, lambda work: None)
     job.run()
     job.summary()
 
