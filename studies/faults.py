@@ -1,7 +1,7 @@
 """Runs that are killed and resumed: are they the same runs as if nothing had happened?
 
     python -m studies.faults [--output FOLDER] [--keep FOLDER] [--only TABLE/CELL ...] [--jobs N]
-        [--seed N] [--quick]
+        [--runs N] [--seed N] [--quick]
 
 Of each cell of ``faults.yaml`` one run is left alone.  ``RUNS`` more are killed by SIGKILL, once to
 three times, at moments drawn uniformly from the time that it took to learn, and go on by
@@ -36,7 +36,7 @@ from studies.cells import TRAIN, BadCells, Cell, chosen, read_plan, run
 from studies.same_runs import differences
 
 RUNS = 5
-"""That are killed, of each cell."""
+"""That are killed, of each cell, by default."""
 QUICK = {"kernels": 4, "torch": 4, "cardea": 1, "gymnasium": 1}
 """Cells of a quick run, by table: the first ones, each with one run that is killed."""
 MOST = 3
@@ -218,6 +218,7 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where the results go")
     parser.add_argument("--only", nargs="+", metavar="TABLE/CELL")
     parser.add_argument("--jobs", type=int, default=1, help="runs at a time, a core each")
+    parser.add_argument("--runs", type=int, default=RUNS, help="to kill, of each cell")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     parser.add_argument("--quick", action="store_true", help="ten runs, for a test")
     options = parser.parse_args()
@@ -229,7 +230,7 @@ def main() -> None:
         sys.exit(f"faults: {error}")
     if failed:
         sys.exit(f"faults: {failed} of {len(cells)} runs that are left alone failed")
-    due = [(cell, k) for cell in cells for k in range(1 if options.quick else RUNS)]
+    due = [(cell, k) for cell in cells for k in range(1 if options.quick else options.runs)]
     pool = ThreadPoolExecutor(options.jobs)
     try:
         faults = list(pool.map(lambda one: fault(one[0], one[1], output, options.seed), due))
