@@ -73,6 +73,11 @@ class Work(ABC):
         """Of the policies that the run leaves, each ``[S, ...]``."""
 
     @property
+    def holds_state(self) -> bool:
+        """Whether ``state`` and ``restore`` are implemented; else a run can only begin anew."""
+        return False
+
+    @property
     def stored(self) -> Parameters:
         """What is saved of them."""
         return self.parameters
@@ -91,10 +96,8 @@ class Work(ABC):
         return
 
     def state(self) -> dict[str, Any] | None:
-        """Everything that the rest of the work depends on, for ``edtorch.run.state_file``.
-
-        None: the method does not hold its state, and a run of it can only begin anew.
-        """
+        """Everything that the rest of the work depends on, for ``edtorch.run.state_file``; None
+        unless ``holds_state``."""
         return None
 
     def restore(self, state: Mapping[str, Any], folder: Path) -> None:

@@ -59,6 +59,11 @@ class Learning(Work):
         """See ``Work``."""
         return self._learned.episodes
 
+    @property
+    def holds_state(self) -> bool:
+        """See ``Work``."""
+        return True
+
     def state(self) -> dict[str, Any]:
         """See ``Work``."""
         return {

@@ -196,6 +196,11 @@ class RandomPolicies(Work):
         weights = policy_weights(setup.settings, setup.policy, setup.seed, numbers)
         return {"weight": weights.to(setup.world.dtype)}
 
+    @property
+    def holds_state(self) -> bool:
+        """See ``Work``."""
+        return True
+
     def state(self) -> dict[str, Any] | None:
         """See ``Work``; whole at any time, but of the last whole rounds."""
         return {

@@ -227,6 +227,11 @@ class Rivals(Work):
         search = self._search
         return search.stored() if isinstance(search, Storing) else search.parameters
 
+    @property
+    def holds_state(self) -> bool:
+        """See ``Work``."""
+        return isinstance(self._search, Resumable)
+
     def state(self) -> dict[str, Any] | None:
         """See ``Work``; whole between two pieces.  None for a search that is not ``Resumable``."""
         if not isinstance(self._search, Resumable):

@@ -68,7 +68,7 @@ def _done(
     """Learn, evaluate, write everything; returns the content of ``summary.json``."""
     folder = run_folder.path
     if checkpoint is not None:
-        cut(folder, checkpoint.files, (PART,))  # which is opened by whoever records
+        cut(folder, checkpoint.files, (PART,))  # before the recorder opens it
     work = begin(folder)
     job = Job(
         *(work, config, stop, console, Keeper(run_folder).keep),
@@ -76,13 +76,12 @@ def _done(
     )
     if checkpoint is not None:
         _restore(job, checkpoint, folder)
-    holds_state = work.state() is not None
     if not run_folder.is_running:
         run_folder.go_on(config, work.ticks)
-        if not holds_state:
+        if not work.holds_state:
             logger.warning("%s: does not hold its state, and begins anew", work.title)
     run_folder.add("computed", work.computed)
-    run_folder.add("holds_state", holds_state)
+    run_folder.add("holds_state", work.holds_state)
     job.sinks, board = open_sinks(work, config, folder)
     if config.log.progress:
         job.sinks.append(ConsoleSink(console))
