@@ -1,4 +1,4 @@
-"""Sensors that err and are late, on any sim."""
+"""Noisy and delayed sensors for any sim."""
 
 from __future__ import annotations
 

@@ -228,7 +228,7 @@ class RecordedLearners(Learning):
             if self.seconds >= self._due:
                 self._due += self._log_every
                 job.take(self._snapshots.entry(self._offline.snapshot(), []))
-            # Afterwards, so that nothing is due in a state of now.
+            # After the report, so that no report is pending in the saved state.
             job.whole()
         job.keep()
         job.take(self._snapshots.entry(self._offline.snapshot(), self.episodes))

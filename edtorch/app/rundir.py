@@ -134,7 +134,7 @@ class RunFolder:
             "versions": versions(),
         }
         resumed = [*about.get("resumed", []), again]
-        # Of an end that is none any more.
+        # The summary of the earlier end is out of date once the run goes on.
         (self.path / SUMMARY).unlink(missing_ok=True)
         write_text(self.path / CONFIG, settings_text(config))
         write_text(self.path / ABOUT, json_text({**about, "resumed": resumed}))

@@ -29,7 +29,7 @@ from edtorch.app.sweep_record import JOB, Record
 from edtorch.run.files import write_text
 
 FAILED = math.inf
-"""What a sweeper that minimises is told of a job that has failed."""
+"""The headline figure of a failed job: the worst one, for sweepers that minimise."""
 
 
 class NotItsFolder(ConfigError):

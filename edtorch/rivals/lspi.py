@@ -238,7 +238,7 @@ class LspiSearch(AccountedSearch):
             self._stage[row] += 1
 
     def _collected(self, row: int, pause: Callable[[], None]) -> Transitions:
-        """The record of a seed, as many episodes longer as the stage has."""
+        """The transitions of a seed, with those of the episodes of this stage added."""
         stages = [0, *self._settings.episodes]
         stage = self._stage[row]
         fresh = collect(

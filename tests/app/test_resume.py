@@ -299,7 +299,7 @@ def test_the_lock_of_another_machine_holds_as_long_as_that_gives_signs_of_life(
 def test_a_disk_that_takes_no_checkpoint_stops_no_learning(
     command: Command, workplace: Path
 ) -> None:
-    """Here a folder that is none."""
+    """Simulated by a file in the place of the checkpoint folder."""
     (workplace / "x").mkdir()
     (workplace / "x" / "checkpoints").write_text("no folder")
     result = command("edtorch-train", *LINEAR, "hydra.run.dir=x")
