@@ -1,0 +1,98 @@
+"""The lift of a state and an action: angles as points of the unit circle, the rest as it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from edtorch.model.told import Told
+
+
+@dataclass(frozen=True, eq=False)
+class Lift:
+    """A(s, u) = [1 | sin and cos of s_i unit_i for an angle, else s_i, for each i | u].
+
+    angle: bool ``[n]``; at: int64 ``[n]``, the first entry of each component; unit: float64
+    ``[n]``, the scale of the component (rad for an angle); action_at: the first entry of u; names:
+    of the ``size`` entries.  States and actions are in scaled units.
+    """
+
+    angle: np.ndarray
+    at: np.ndarray
+    unit: np.ndarray
+    action_at: int
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, told: Told) -> Lift:
+        """The lift of the components and actions of ``told``."""
+        names, at = ["1"], []
+        for name, angle in zip(told.names, told.angle, strict=True):
+            at.append(len(names))
+            names += [f"sin {name}", f"cos {name}"] if angle else [name]
+        return cls(
+            angle=np.array(told.angle, dtype=np.bool_),
+            at=np.array(at, dtype=np.int64),
+            unit=np.array(told.unit, dtype=np.float64),
+            action_at=len(names),
+            names=(*names, *told.actions),
+        )
+
+    @property
+    def size(self) -> int:
+        """How many entries A has."""
+        return len(self.names)
+
+    @property
+    def states(self) -> int:
+        """n."""
+        return len(self.at)
+
+    @property
+    def actions(self) -> int:
+        """m."""
+        return self.size - self.action_at
+
+    def entry(self, name: str) -> int:
+        """The index of an entry; ValueError for an unknown name."""
+        if name not in self.names:
+            raise ValueError(f"entry={name!r}: expected one of {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def __call__(self, state: Tensor, action: Tensor) -> Tensor:
+        """A ``[*batch, size]`` of state ``[*batch, n]`` and action ``[*batch, m]``."""
+        radians = state[..., torch.from_numpy(np.flatnonzero(self.angle))] * torch.from_numpy(
+            self.unit[self.angle]
+        )
+        one = torch.ones_like(state[..., :1])
+        found = torch.cat([one, state, action, radians.sin(), radians.cos()], dim=-1)
+        return found[..., torch.from_numpy(self._order())]
+
+    def jacobian(self, state: Tensor, action: Tensor) -> Tensor:
+        """d A / d (s, u), ``[*batch, size, n + m]``."""
+        n, m, batch = self.states, self.actions, state.shape[:-1]
+        found = state.new_zeros(*batch, self.size, n + m)
+        unit = torch.from_numpy(self.unit)
+        for i, (at, angle) in enumerate(zip(self.at, self.angle, strict=True)):
+            if angle:
+                radians = state[..., i] * unit[i]
+                found[..., at, i] = unit[i] * radians.cos()
+                found[..., at + 1, i] = -unit[i] * radians.sin()
+            else:
+                found[..., at, i] = 1.0
+        for k in range(m):
+            found[..., self.action_at + k, n + k] = 1.0
+        return found
+
+    def _order(self) -> np.ndarray:
+        """Where each entry is in [1 | s | u | sines | cosines]."""
+        n, m = self.states, self.actions
+        sine = 1 + n + m + np.cumsum(self.angle) - 1
+        order = np.zeros(self.size, dtype=np.int64)
+        order[self.at] = np.where(self.angle, sine, 1 + np.arange(n))
+        order[self.at[self.angle] + 1] = sine[self.angle] + self.angle.sum()
+        order[self.action_at :] = 1 + n + np.arange(m)
+        return order
