@@ -260,6 +260,17 @@ class Judged(Protocol):
 
 
 @runtime_checkable
+class JudgesStates(Protocol):
+    """A sim that tells from the true states alone whether an episode succeeded: also one that was
+    only imagined, in a learned model."""
+
+    def judge(self, states: Tensor) -> Tensor:
+        """Whether an episode with these true states ``[*batch, T + 1, n]``, in the units of
+        ``spec.state``, one per tick from its start, is a success: bool ``[*batch]``."""
+        ...
+
+
+@runtime_checkable
 class Losing(Protocol):
     """A sim whose episodes can be lost to a fault of the simulator: they count for nothing."""
 

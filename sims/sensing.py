@@ -18,6 +18,7 @@ from sims.base import (
     Invertible,
     Jointed,
     Judged,
+    JudgesStates,
     Lasting,
     Losing,
     Pictured,
@@ -193,6 +194,9 @@ def _offers(sim: Sim, memory: int) -> dict[str, Any]:
         offers["total_reward"] = partial(_of_inner, sim.total_reward, memory)
     if isinstance(sim, Judged):
         offers["succeeded"] = partial(_of_inner, sim.succeeded, memory)
+    if isinstance(sim, JudgesStates):
+        # Of true states, which no sensor has changed.
+        offers["judge"] = sim.judge
     if isinstance(sim, Losing):
         offers["lost"] = partial(_of_inner, sim.lost, memory)
     if isinstance(sim, Remembering):
