@@ -1,7 +1,7 @@
 """Worlds to learn in: the protocol of a simulator (``sims.base``), and one file for each.
 
-Importing this package makes ``edtorch/Bicycle-v0`` and ``edtorch/Cardea-v0`` known to Gymnasium,
-which has had no discovery of plug-ins since 1.0.
+Importing this package makes the environments below known to Gymnasium, which has had no discovery
+of plug-ins since 1.0.
 """
 
 import gymnasium
@@ -9,6 +9,8 @@ import gymnasium
 for _id, _entry_point in {
     "edtorch/Bicycle-v0": "sims.gymnasium_env:BicycleEnv",
     "edtorch/Cardea-v0": "sims.cardea.env:CardeaEnv",
+    "edtorch/CartPoleSwingUp-v0": "sims.tasks.env:CartPoleSwingUpEnv",
+    "edtorch/PendulumSwingUp-v0": "sims.tasks.env:PendulumSwingUpEnv",
 }.items():
     if _id not in gymnasium.registry:
         gymnasium.register(_id, entry_point=_entry_point)

@@ -1,7 +1,7 @@
 """Any sim as a Gymnasium environment, and the bicycle among Gymnasium's own.
 
-``import sims`` (or ``edtorch``) registers ``edtorch/Bicycle-v0`` (and ``edtorch/Cardea-v0``, see
-``sims.cardea.env``)::
+``import sims`` (or ``edtorch``) registers ``edtorch/Bicycle-v0`` (and others, see
+``sims.cardea.env`` and ``sims.tasks.env``)::
 
     import gymnasium
     import edtorch

@@ -1,1 +1,1 @@
-"""Standard control tasks: a cart-pole, a quadrotor, a pendulum near upright."""
+"""Standard control tasks: balancing near a target, and swing-ups from hanging."""

@@ -66,6 +66,10 @@ BESIDE = {
     ("inverse", "learned"): CARDEA,
     ("inverse", "kinematic"): CARDEA,
     ("reward", "goal"): ["domain=cardea"],
+    **{
+        ("domain", name): ["reward=quadratic", "+reward.state.angle=1"]
+        for name in ("cartpole_swingup", "cartpole_tracking", "pendulum_swingup")
+    },
     ("domain", "linear"): ["reward=quadratic", "+reward.state.state_0=1"],
     ("domain", "gymnasium"): [
         "domain.env_id=Pendulum-v1",
@@ -154,7 +158,7 @@ CHOICES = {"reward", "train"}
 VARIANTS = {
     f"bicycle_{name}"
     for name in ("change", "gyroscopic", "off_balance", "sensors", "spread", "wind")
-}
+} | {"cartpole_tracking"}
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS, ids=str)

@@ -1,0 +1,69 @@
+"""The tasks among Gymnasium's environments: ``edtorch/CartPoleSwingUp-v0``..."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from sims.gymnasium_env import Array, SimEnv
+from sims.sensing import Sensed
+from sims.tasks.cart_pole_swing_up import CartPoleSwingUp
+from sims.tasks.held_tip import HeldTip
+from sims.tasks.pendulum_swing_up import PendulumSwingUp
+
+
+class HeldTipEnv(SimEnv):
+    """Swing rods up and hold their tip at a place, all seen through noisy sensors.
+
+    Observation, action, start and success are those of the task (``sims.tasks``); each component is
+    read with a normal error of standard deviation ``noise``.
+
+    The reward of a step is PILCO's, *r = exp(-d^2 / (2 width^2))*, d the distance of the tip from
+    its target by the reading that the step returns: between 0 and 1.
+
+    Nothing terminates an episode; it is truncated at the time limit, where info ``outcome`` says
+    SUCCEEDED or TIMED_OUT.
+
+    Arguments: ``noise``, ``render_mode`` (None, "rgb_array"), and those of the task by name, but
+    for ``amplitude``: no component tells the time of a target that moves.
+    """
+
+    def __init__(
+        self, task: HeldTip, *, noise: float = 0.01, render_mode: str | None = None
+    ) -> None:
+        """``task`` seen through sensors."""
+        amplitude = task.constants.amplitude
+        if amplitude != 0:
+            raise ValueError(
+                f"amplitude={amplitude}: expected 0, an observation does not tell the time"
+            )
+        deviations = {quantity.name: noise for quantity in task.spec.state}
+        super().__init__(Sensed(task, deviations), _Nearness(task), render_mode=render_mode)
+
+
+@dataclass(frozen=True)
+class _Nearness:
+    """PILCO's reward of a step."""
+
+    task: HeldTip
+
+    def __call__(self, before: Array, action: Array, after: Array) -> float:
+        away = float(self.task.distance(torch.as_tensor(after)))
+        return float(np.exp(-0.5 * (away / self.task.constants.width) ** 2))
+
+
+class CartPoleSwingUpEnv(HeldTipEnv):
+    """``sims.tasks.cart_pole_swing_up.CartPoleSwingUp``."""
+
+    def __init__(self, *, noise: float = 0.01, render_mode: str | None = None, **task: Any) -> None:
+        super().__init__(CartPoleSwingUp(**task), noise=noise, render_mode=render_mode)
+
+
+class PendulumSwingUpEnv(HeldTipEnv):
+    """``sims.tasks.pendulum_swing_up.PendulumSwingUp``."""
+
+    def __init__(self, *, noise: float = 0.01, render_mode: str | None = None, **task: Any) -> None:
+        super().__init__(PendulumSwingUp(**task), noise=noise, render_mode=render_mode)

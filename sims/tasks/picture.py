@@ -1,0 +1,80 @@
+"""Pictures of the tasks: rods in a vertical plane."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+WIDTH, HEIGHT = 480, 270
+_FINE = 2
+"""Pixels drawn per pixel of the picture, each way."""
+
+_PAPER, _GRID, _LINE, _INK, _SOFT = (
+    *((250, 248, 244), (238, 235, 229), (190, 186, 178)),
+    *((40, 44, 52), (128, 130, 136)),
+)
+_PATH, _GOAL, _GOAL_FILL = (150, 180, 212), (214, 120, 44), (250, 228, 206)
+_RODS = ((58, 110, 165), (90, 94, 102))
+_RECENT = 30
+"""States whose tips are joined to a path."""
+
+
+def rods(
+    places: np.ndarray,
+    *,
+    target: tuple[float, float],
+    width: float,
+    on_rail: bool,
+    seconds: float,
+) -> np.ndarray:
+    """RGB picture, uint8 ``[270, 480, 3]``, of the last of ``places`` ``[T, J, 2]``.
+
+    ``places``: of the joints and the tip, m, right and up, the first joint at height 0; ``target``:
+    of the tip, with a disc of radius ``width`` (m) about it; ``on_rail``: whether the first joint
+    is that of a cart on a rail, which the picture then follows; ``seconds``: what the clock shows.
+    """
+    now = places[-1]
+    reach = float(np.hypot(*np.diff(now, axis=0).T).sum())
+    half = max(1.7 * reach if on_rail else 0.0, 1.05 * reach + width)
+    scale = HEIGHT * _FINE / (2 * half)
+    aside = half * WIDTH / HEIGHT - reach
+    middle = float(np.clip(0.0, now[0, 0] - aside, now[0, 0] + aside))
+    image = Image.new("RGB", (WIDTH * _FINE, HEIGHT * _FINE), _PAPER)
+    draw = ImageDraw.Draw(image)
+
+    def place(point: np.ndarray | tuple[float, float]) -> tuple[float, float]:
+        return (
+            WIDTH * _FINE / 2 + scale * (float(point[0]) - middle),
+            HEIGHT * _FINE / 2 - scale * float(point[1]),
+        )
+
+    def disc(point: np.ndarray | tuple[float, float], radius: float, colour: object) -> None:
+        x, y = place(point)
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)  # pyright: ignore
+
+    disc(target, width * scale, _GOAL_FILL)
+    disc(target, 5, _GOAL)
+    if on_rail:
+        step = 0.5
+        first = np.ceil((middle - half * WIDTH / HEIGHT) / step)
+        for k in range(int(first), int(first + 2 * half * WIDTH / HEIGHT / step) + 1):
+            x = place((k * step, 0.0))[0]
+            draw.line((x, 0, x, HEIGHT * _FINE), fill=_LINE if k == 0 else _GRID, width=2)
+        y = place((0.0, 0.0))[1]
+        draw.line((0, y, WIDTH * _FINE, y), fill=_LINE, width=4)
+    path = [place(point) for point in places[-_RECENT:, -1]]
+    if len(path) > 1:
+        draw.line(path, fill=_PATH, width=4, joint="curve")
+    if on_rail:
+        x, y = place(now[0])
+        draw.rounded_rectangle((x - 44, y - 20, x + 44, y + 20), 8, fill=_INK)
+    for k, (a, b) in enumerate(pairwise(now)):
+        colour = _RODS[k % 2]
+        draw.line((*place(a), *place(b)), fill=colour, width=14)
+        disc(a, 9, _SOFT)
+        disc(b, 7, colour)
+    font = ImageFont.load_default(26)
+    draw.text((WIDTH * _FINE - 20, 14), f"{seconds:.2f} s", _INK, font, anchor="ra")
+    return np.asarray(image.reduce(_FINE))

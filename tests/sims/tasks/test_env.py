@@ -1,0 +1,41 @@
+"""The tasks among Gymnasium's environments."""
+
+from __future__ import annotations
+
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+
+from sims.tasks.env import HeldTipEnv, PendulumSwingUpEnv
+
+TASKS = ["CartPoleSwingUp", "PendulumSwingUp"]
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_an_episode(name: str) -> None:
+    env = gymnasium.make(f"edtorch/{name}-v0", render_mode="rgb_array", time_limit=3.2)
+    inner = env.unwrapped
+    assert isinstance(inner, HeldTipEnv)
+    _, info = env.reset(seed=0)
+    for k in range(1, inner.max_episode_steps + 1):
+        _, reward, terminated, truncated, info = env.step(np.zeros(env.action_space.shape or ()))
+        assert 0 <= float(reward) < 0.5 and not terminated
+        assert truncated == (k == inner.max_episode_steps)
+    assert info["outcome"] == "TIMED_OUT" and info["measures"]["tip_distance_m"] > 0.8
+    assert np.asarray(env.render()).shape == (270, 480, 3)
+
+
+def test_the_reward_is_pilcos() -> None:
+    env = PendulumSwingUpEnv(noise=0.0, width=0.5)
+    for angle, away in ((0.0, 0.0), (math.pi, 2.0), (math.pi / 3, 1.0)):
+        reward = env.reward(np.zeros(2), np.zeros(1), np.array([angle, 3.0]))
+        assert reward == pytest.approx(math.exp(-0.5 * (away / 0.5) ** 2))
+
+
+def test_a_moving_target_is_refused() -> None:
+    with pytest.raises(
+        ValueError, match=r"amplitude=0.5: expected 0, an observation does not tell"
+    ):
+        gymnasium.make("edtorch/CartPoleSwingUp-v0", amplitude=0.5)
