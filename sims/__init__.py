@@ -11,6 +11,9 @@ for _id, _entry_point in {
     "edtorch/Cardea-v0": "sims.cardea.env:CardeaEnv",
     "edtorch/CartPoleSwingUp-v0": "sims.tasks.env:CartPoleSwingUpEnv",
     "edtorch/PendulumSwingUp-v0": "sims.tasks.env:PendulumSwingUpEnv",
+    "edtorch/Pendubot-v0": "sims.tasks.env:PendubotEnv",
+    "edtorch/DoublePendulum-v0": "sims.tasks.env:DoublePendulumEnv",
+    "edtorch/CartDoublePendulum-v0": "sims.tasks.env:CartDoublePendulumEnv",
 }.items():
     if _id not in gymnasium.registry:
         gymnasium.register(_id, entry_point=_entry_point)

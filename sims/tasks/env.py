@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 
 from sims.gymnasium_env import Array, SimEnv
 from sims.sensing import Sensed
+from sims.tasks.cart_double_pendulum import CartDoublePendulum
 from sims.tasks.cart_pole_swing_up import CartPoleSwingUp
+from sims.tasks.double_pendulum import DoublePendulum
 from sims.tasks.held_tip import HeldTip
+from sims.tasks.pendubot import Pendubot
 from sims.tasks.pendulum_swing_up import PendulumSwingUp
 
 
@@ -31,10 +35,13 @@ class HeldTipEnv(SimEnv):
     for ``amplitude``: no component tells the time of a target that moves.
     """
 
+    task: ClassVar[Callable[..., HeldTip]]
+
     def __init__(
-        self, task: HeldTip, *, noise: float = 0.01, render_mode: str | None = None
+        self, *, noise: float = 0.01, render_mode: str | None = None, **arguments: Any
     ) -> None:
-        """``task`` seen through sensors."""
+        """The task, with ``arguments`` of its own, seen through sensors."""
+        task = type(self).task(**arguments)
         amplitude = task.constants.amplitude
         if amplitude != 0:
             raise ValueError(
@@ -58,12 +65,28 @@ class _Nearness:
 class CartPoleSwingUpEnv(HeldTipEnv):
     """``sims.tasks.cart_pole_swing_up.CartPoleSwingUp``."""
 
-    def __init__(self, *, noise: float = 0.01, render_mode: str | None = None, **task: Any) -> None:
-        super().__init__(CartPoleSwingUp(**task), noise=noise, render_mode=render_mode)
+    task = CartPoleSwingUp
 
 
 class PendulumSwingUpEnv(HeldTipEnv):
     """``sims.tasks.pendulum_swing_up.PendulumSwingUp``."""
 
-    def __init__(self, *, noise: float = 0.01, render_mode: str | None = None, **task: Any) -> None:
-        super().__init__(PendulumSwingUp(**task), noise=noise, render_mode=render_mode)
+    task = PendulumSwingUp
+
+
+class PendubotEnv(HeldTipEnv):
+    """``sims.tasks.pendubot.Pendubot``."""
+
+    task = Pendubot
+
+
+class DoublePendulumEnv(HeldTipEnv):
+    """``sims.tasks.double_pendulum.DoublePendulum``."""
+
+    task = DoublePendulum
+
+
+class CartDoublePendulumEnv(HeldTipEnv):
+    """``sims.tasks.cart_double_pendulum.CartDoublePendulum``."""
+
+    task = CartDoublePendulum

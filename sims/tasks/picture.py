@@ -37,7 +37,7 @@ def rods(
     """
     now = places[-1]
     reach = float(np.hypot(*np.diff(now, axis=0).T).sum())
-    half = max(1.7 * reach if on_rail else 0.0, 1.05 * reach + width)
+    half = max(1.45 * reach if on_rail else 0.0, 1.05 * reach + width)
     scale = HEIGHT * _FINE / (2 * half)
     aside = half * WIDTH / HEIGHT - reach
     middle = float(np.clip(0.0, now[0, 0] - aside, now[0, 0] + aside))

@@ -70,6 +70,10 @@ BESIDE = {
         ("domain", name): ["reward=quadratic", "+reward.state.angle=1"]
         for name in ("cartpole_swingup", "cartpole_tracking", "pendulum_swingup")
     },
+    **{
+        ("domain", name): ["reward=quadratic", "+reward.state.angle_1=1"]
+        for name in ("pendubot", "double_pendulum", "cart_double_pendulum")
+    },
     ("domain", "linear"): ["reward=quadratic", "+reward.state.state_0=1"],
     ("domain", "gymnasium"): [
         "domain.env_id=Pendulum-v1",

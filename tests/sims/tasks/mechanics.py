@@ -46,7 +46,7 @@ class Rods:
     def energies(self, q: Tensor, dq: Tensor) -> tuple[Tensor, Tensor]:
         """Kinetic and potential energy, J."""
         centres, speeds = jvp(self._centres, (q,), (dq,))[:2]
-        masses, lengths = torch.tensor(self.masses).to(q), torch.tensor(self.lengths).to(q)
+        masses, lengths = q.new_tensor(self.masses), q.new_tensor(self.lengths)
         turning = masses * lengths**2 / 12 * dq[-len(self.masses) :] ** 2
         kinetic = 0.5 * ((masses * (speeds**2).sum(-1)).sum() + turning.sum())
         if self.cart is not None:
@@ -90,11 +90,9 @@ def check_equations(sim: HeldTip, rods: Rods) -> None:
     torch.testing.assert_close(change, power, rtol=1e-9, atol=1e-9)
 
 
-def check_conservation(
-    sim: HeldTip, rods: Rods, idle: Callable[[Tensor], Tensor], tolerance: float = 1e-6
-) -> None:
-    """Energy is constant over a trial under actions ``idle(state)`` that cancel friction, to
-    ``tolerance`` of 1 + |energy|, from the horizontal, faster than trials get."""
+def check_conservation(sim: HeldTip, rods: Rods, idle: Callable[[Tensor], Tensor]) -> None:
+    """Energy is constant over a trial from about the horizontal under actions ``idle(state)`` that
+    cancel friction, to 1e-6 of what lifts the mechanism from hanging to upright."""
     n, dt = len(sim.spec.state), sim.spec.dt
 
     def free(state: tuple[Tensor, ...], nothing: None) -> tuple[Tensor, ...]:
@@ -108,11 +106,14 @@ def check_conservation(
         rows = move(rows, None, dt)
     state = torch.stack(rows, -1)
     after = vmap(rods.energy)(state[:, 0::2], state[:, 1::2])
-    torch.testing.assert_close(after, before, rtol=tolerance, atol=tolerance)
+    upright = torch.zeros(n // 2).double()
+    hanging = torch.tensor(sim.mean[0::2], dtype=torch.float64)
+    lift = float(rods.energy(upright, upright) - rods.energy(hanging, upright))
+    torch.testing.assert_close(after, before, rtol=0, atol=1e-6 * lift)
 
 
 def check_equilibria(sim: HeldTip) -> None:
-    """At rest, upright and hanging, without action, nothing moves; half upright falls."""
+    """At rest, upright and hanging, without action, nothing moves; a rod that leans falls."""
     action = torch.zeros(len(sim.spec.action)).double()
     upright = torch.zeros(len(sim.spec.state)).double()
     hanging = torch.tensor(sim.mean, dtype=torch.float64)
@@ -122,4 +123,5 @@ def check_equilibria(sim: HeldTip) -> None:
         )
     assert float(sim.distance(upright)) == 0.0
     lean = torch.where(hanging != 0, 0.1, 0.0)
-    assert float(_derivative(sim, lean, action)[-1]) > 0 or len(lean) > 4
+    rate = int(hanging.nonzero()[0]) + 1
+    assert float(_derivative(sim, lean, action)[rate]) > 0

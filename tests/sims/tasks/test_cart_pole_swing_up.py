@@ -23,11 +23,13 @@ def _force(dq: Tensor, u: Tensor) -> Tensor:
 RODS = Rods((0.5,), (0.5,), _force, cart=0.5)
 
 
+@pytest.mark.oracle
 def test_mechanics() -> None:
     check_equations(CartPoleSwingUp(), RODS)
     check_equilibria(CartPoleSwingUp())
 
 
+@pytest.mark.oracle
 def test_energy_is_conserved_without_friction() -> None:
     check_conservation(CartPoleSwingUp(), RODS, lambda s: FRICTION * s[:, 1:2])
 

@@ -10,12 +10,14 @@ import pytest
 
 from sims.tasks.env import HeldTipEnv, PendulumSwingUpEnv
 
-TASKS = ["CartPoleSwingUp", "PendulumSwingUp"]
+TASKS = ["CartPoleSwingUp", "PendulumSwingUp", "Pendubot", "DoublePendulum", "CartDoublePendulum"]
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_an_episode(name: str) -> None:
-    env = gymnasium.make(f"edtorch/{name}-v0", render_mode="rgb_array", time_limit=3.2)
+    env = gymnasium.make(
+        f"edtorch/{name}-v0", render_mode="rgb_array", time_limit=0.7, hold_from=0.4
+    )
     inner = env.unwrapped
     assert isinstance(inner, HeldTipEnv)
     _, info = env.reset(seed=0)

@@ -15,11 +15,13 @@ pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.*:DeprecationWarning"
 RODS = Rods((1.0,), (1.0,), lambda dq, u: u - 0.01 * dq)
 
 
+@pytest.mark.oracle
 def test_mechanics() -> None:
     check_equations(PendulumSwingUp(), RODS)
     check_equilibria(PendulumSwingUp())
 
 
+@pytest.mark.oracle
 def test_energy_is_conserved_without_friction() -> None:
     check_conservation(PendulumSwingUp(), RODS, lambda s: 0.01 * s[:, 1:2])
 
