@@ -23,5 +23,9 @@ class NonSmoothError(ValueError):
     """A reward has no second derivatives, and the transform takes them."""
 
 
+class FitError(ValueError):
+    """Data from which no model can be fitted."""
+
+
 class CovarianceFloored(UserWarning):
     """A covariance lost its positive semidefiniteness on the way and was floored from there on."""
