@@ -87,6 +87,11 @@ def true_weight(structure: Structure) -> Tensor:
     return weight
 
 
+def moved(state: Tensor, force: Tensor) -> Tensor:
+    """The simulator's state ``[*batch, 4]`` a tick later; m, m/s, rad, rad/s and N."""
+    return torch.stack(_MOVE(state.unbind(-1), force[..., 0], DT), dim=-1)
+
+
 def trial(told: Told, seed: int, ticks: int = 40, noise: float = 0.01) -> Transition:
     """A trial from near hanging with a uniform random action in each tick, read with noise."""
     generator = torch.Generator().manual_seed(seed)
@@ -94,8 +99,8 @@ def trial(told: Told, seed: int, ticks: int = 40, noise: float = 0.01) -> Transi
     action = 2 * torch.rand(ticks, 1, generator=generator, dtype=torch.float64) - 1
     state = torch.tensor([0.0, 0.0, math.pi, 0.0], dtype=torch.float64) + 0.1 * normals[0]
     states = [state]
-    for force in 10 * action[:, 0]:
-        state = torch.stack(_MOVE(state.unbind(), force, DT))
+    for force in 10 * action:
+        state = moved(state, force)
         states.append(state)
     read = torch.stack(states) + noise * normals[1:]
     read = read / torch.tensor(told.unit, dtype=torch.float64)

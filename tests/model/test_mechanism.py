@@ -77,7 +77,7 @@ def test_each_row_may_have_weights_of_its_own() -> None:
 def test_runge_kutta_is_of_fourth_order() -> None:
     built, (state, action) = structure(told()), _rows(20)
     weight = true_weight(built)
-    fine = runge_kutta(built, weight, state, action, 0.1, steps=400)
+    fine = runge_kutta(built, weight, state, action, 0.1, steps=100)
     errors = [
         float((runge_kutta(built, weight, state, action, 0.1, steps) - fine).abs().max())
         for steps in (4, 8, 16)
