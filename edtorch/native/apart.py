@@ -17,7 +17,7 @@ from torch import Tensor
 
 from edtorch.learner.learner import AnyLearner
 from edtorch.native.layout import RowLayout
-from edtorch.native.plan import Plan, add_units, learner_plan
+from edtorch.native.plan import KernelPlan, add_units, learner_plan
 from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
 from edtorch.native.stage import lanes_for
@@ -45,7 +45,7 @@ class Apart:
         world: World,
         state: LearnerState,
         *,
-        units: Callable[[Plan, World], None] | None = None,
+        units: Callable[[KernelPlan, World], None] | None = None,
         lanes: int | None = None,
     ) -> None:
         """units: adds others than those of ``World`` to a plan; lanes: see ``Native``.

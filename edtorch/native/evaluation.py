@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
 from edtorch.native.choice import Mode
-from edtorch.native.plan import NoKernel, Plan, add_policy, add_world, begun, place
+from edtorch.native.plan import NoKernel, KernelPlan, add_policy, add_world, begun, place
 from edtorch.native.program import Unavailable, load_kernel
 from edtorch.native.source import source_of
 from edtorch.run import evaluation
@@ -175,7 +175,7 @@ class Rides:
         return start.numpy(), z[:, world : world + start.shape[-1]], ends, z[:, earned]
 
 
-def _plan(policy: Actor, parameters: Parameters, world: World) -> Plan:
+def _plan(policy: Actor, parameters: Parameters, world: World) -> KernelPlan:
     plan = begun(world)
     add_policy(plan, policy)
     add_world(plan, world)

@@ -48,7 +48,7 @@ class NoKernel(Exception):
 
 
 @dataclass
-class Plan:
+class KernelPlan:
     """constants: of the program, by name; chosen: names of its functions by role; numbers: what
     kernels are given, by name; rows: the simulator, None for a world that is not compiled."""
 
@@ -102,7 +102,7 @@ _KEPT = {
 """Rows that the kernels name, by the leaf of a population that they hold."""
 
 
-def plan_of(tick: Tick[LearnerState], population: Population[LearnerState]) -> Plan:
+def plan_of(tick: Tick[LearnerState], population: Population[LearnerState]) -> KernelPlan:
     """The plan for ticks like this one.  Raises NoKernel with the first part that has none."""
     layout = RowLayout.of(population)
     plan = learner_plan(tick.learner, tick.world, layout)
@@ -120,7 +120,7 @@ def plan_of(tick: Tick[LearnerState], population: Population[LearnerState]) -> P
     return plan
 
 
-def learner_plan(learner: Source[LearnerState], world: World, layout: RowLayout) -> Plan:
+def learner_plan(learner: Source[LearnerState], world: World, layout: RowLayout) -> KernelPlan:
     """The part of a plan that is the learner's, with what it sees and does in the units of
     ``World``.  Raises NoKernel."""
     if type(learner) is not Learner:
@@ -133,12 +133,12 @@ def learner_plan(learner: Source[LearnerState], world: World, layout: RowLayout)
     return plan
 
 
-def begun(world: World) -> Plan:
+def begun(world: World) -> KernelPlan:
     """What every plan for this world begins with.  Raises NoKernel."""
     if world.dtype != torch.float64 or world.device.type != "cpu":
         raise NoKernel(f"{world.dtype} on {world.device.type}")
     spec = world.spec
-    plan = Plan(constants={"CLIPS": int(spec.clip_action), "UNWRAPS": 0})
+    plan = KernelPlan(constants={"CLIPS": int(spec.clip_action), "UNWRAPS": 0})
     plan.numbers |= {
         "TICK": world.seconds,
         "STATE_SCALE": [1.0] * len(spec.state),
@@ -149,7 +149,7 @@ def begun(world: World) -> Plan:
     return plan
 
 
-def add_units(plan: Plan, world: World) -> None:
+def add_units(plan: KernelPlan, world: World) -> None:
     """From physical units to those of ``World``, angles counted on."""
     plan.constants["UNWRAPS"] = int(world.unwraps)
     plan.numbers |= {
@@ -161,7 +161,7 @@ def add_units(plan: Plan, world: World) -> None:
     }
 
 
-def _places(plan: Plan, layout: RowLayout) -> None:
+def _places(plan: KernelPlan, layout: RowLayout) -> None:
     for name, leaf in _KEPT.items():
         plan.constants[name] = layout.leaves[leaf].row if leaf in layout.leaves else 0
     known = [
@@ -172,7 +172,7 @@ def _places(plan: Plan, layout: RowLayout) -> None:
     plan.constants |= {"KEPT": layout.numbers, "COUNTERS": layout.counters}
 
 
-def _learner(plan: Plan, learner: Learner, world: World) -> None:
+def _learner(plan: KernelPlan, learner: Learner, world: World) -> None:
     if learner.observer is not None:
         raise NoKernel("estimates of the state")
     model = learner.model
@@ -222,7 +222,7 @@ def _learner(plan: Plan, learner: Learner, world: World) -> None:
     _command(plan, learner)
 
 
-def add_policy(plan: Plan, policy: Any) -> None:
+def add_policy(plan: KernelPlan, policy: Any) -> None:
     """Sizes and kind of a policy.  Raises NoKernel unless it is linear in the state."""
     is_plain = type(policy) in (LinearPolicy, CentredPolicy)
     gain = gain_of(policy, policy.initial([0])) if is_plain else None
@@ -236,7 +236,7 @@ def add_policy(plan: Plan, policy: Any) -> None:
     }
 
 
-def _fit(plan: Plan, fit: Any) -> None:
+def _fit(plan: KernelPlan, fit: Any) -> None:
     decay = 0.0
     plan.constants["DECAYING"] = int(type(fit) is DecayingFit)
     if type(fit) is DecayingFit:
@@ -264,7 +264,7 @@ def _fit(plan: Plan, fit: Any) -> None:
     }
 
 
-def _value(plan: Plan, path: Any, n: int, m: int) -> None:
+def _value(plan: KernelPlan, path: Any, n: int, m: int) -> None:
     kernels: Mapping[type, str] = {
         LinearMeanOnly: "mean_value",
         LinearMoment: "moment_value",
@@ -291,7 +291,7 @@ def _value(plan: Plan, path: Any, n: int, m: int) -> None:
     }
 
 
-def _step(plan: Plan, rule: Any) -> None:
+def _step(plan: KernelPlan, rule: Any) -> None:
     kernels: Mapping[type, str] = {
         SaturatedStep: "saturated",
         DecayingStep: "saturated",
@@ -309,7 +309,7 @@ def _step(plan: Plan, rule: Any) -> None:
     }
 
 
-def _command(plan: Plan, learner: Learner) -> None:
+def _command(plan: KernelPlan, learner: Learner) -> None:
     command = learner.command
     if type(command) not in (type(None), Ramp, Safe):
         raise NoKernel(f"a command of the kind {type(command).__name__}")
@@ -340,7 +340,7 @@ def _command(plan: Plan, learner: Learner) -> None:
     }
 
 
-def add_world(plan: Plan, world: World) -> None:
+def add_world(plan: KernelPlan, world: World) -> None:
     """The simulator's rows, and what ``World`` adds to them.  Raises NoKernel."""
     sim: Any = world.sim
     for protocol, what in (
@@ -384,7 +384,7 @@ def add_world(plan: Plan, world: World) -> None:
     }
 
 
-def place(plan: Plan, widths: Mapping[str, int]) -> int:
+def place(plan: KernelPlan, widths: Mapping[str, int]) -> int:
     """Put rows of these widths one after the other under their names; how many there are."""
     rows = 0
     for name, width in widths.items():
@@ -393,7 +393,7 @@ def place(plan: Plan, widths: Mapping[str, int]) -> int:
     return rows
 
 
-def _scratch(plan: Plan) -> None:
+def _scratch(plan: KernelPlan) -> None:
     """Places of the rows of scratch; and how many there are, SCRATCH, and those of the tape of an
     unroll for each of its steps, TAPE."""
     c = plan.constants

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from edtorch.native.plan import Plan
+from edtorch.native.plan import KernelPlan
 from edtorch.native.program import ModuleSource, fingerprint, module_text
 
 
 def source_of(
-    plan: Plan, sim: Any, lanes: int
+    plan: KernelPlan, sim: Any, lanes: int
 ) -> tuple[ModuleSource, np.ndarray[Any, Any], tuple[float, ...]]:
     """The module of a plan, what kernels are given as ``number``, and the constants of the
     simulator, where the plan has its rows.

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from edtorch.native.layout import RowLayout
-from edtorch.native.plan import Plan
+from edtorch.native.plan import KernelPlan
 from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
 from edtorch.run.random import BLOCK, draw_block, learning_keys
@@ -32,7 +32,7 @@ _LOOK = 500_000
 _Array = np.ndarray[Any, Any]
 
 
-def lanes_for(plan: Plan, learners: int) -> int:
+def lanes_for(plan: KernelPlan, learners: int) -> int:
     """Learners side by side; 1 where the loops over rows are too long to be unrolled."""
     is_small = plan.constants["A"] <= 8 and plan.constants["K"] <= 12
     return LANES if is_small and learners >= _FEW else 1
@@ -63,7 +63,7 @@ class Native:
 
     def __init__(
         self,
-        plan: Plan,
+        plan: KernelPlan,
         tick: Tick[LearnerState],
         population: Population[LearnerState],
         seeds: Sequence[int],

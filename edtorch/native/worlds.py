@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from edtorch.native.plan import Plan, add_world, begun, place
+from edtorch.native.plan import KernelPlan, add_world, begun, place
 from edtorch.run.scaled_sim import World
 
 
-def plan_of_world(world: World, kept: Mapping[str, int], counted: Mapping[str, int]) -> Plan:
+def plan_of_world(world: World, kept: Mapping[str, int], counted: Mapping[str, int]) -> KernelPlan:
     """A plan whose episodes end by the world's own rules and have no return.
 
     kept, counted: rows that a kernel keeps from tick to tick beside the world's, numbers and

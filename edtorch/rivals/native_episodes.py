@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from edtorch.native.plan import NoKernel, Plan, add_policy
+from edtorch.native.plan import NoKernel, KernelPlan, add_policy
 from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
 from edtorch.native.worlds import plan_of_world
@@ -27,7 +27,7 @@ _TICKS = 1_000_000
 
 def episodes_plan(
     world: World, policy: LinearPolicy, accumulator: Accumulator | None, limit: int
-) -> Plan:
+) -> KernelPlan:
     """Of such episodes.  Raises NoKernel."""
     m, features = policy.weight.shape
     deviation = 0.0 if accumulator is None else accumulator.deviation
@@ -54,7 +54,7 @@ def shapes_of(accumulator: Accumulator | None) -> list[torch.Size]:
     return [] if accumulator is None else [part.shape[1:] for part in accumulator.begin(0)]
 
 
-def _add_reward(plan: Plan, accumulator: Accumulator) -> None:
+def _add_reward(plan: KernelPlan, accumulator: Accumulator) -> None:
     form = quadratic_form_of(accumulator.reward)
     if form is None:
         raise NoKernel("a reward that is not quadratic")

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from edtorch.native.plan import Plan
+from edtorch.native.plan import KernelPlan
 from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
 from edtorch.native.worlds import plan_of_world
@@ -20,7 +20,7 @@ BoxTable = tuple[int, Sequence[tuple[int, int, Tensor]]]
 """First row of a table, and of each component: which it is, rows of a step, edges (scaled)."""
 
 
-def sarsa_plan(world: World, reward: QuadraticReward, numbers: Mapping[str, float]) -> Plan:
+def sarsa_plan(world: World, reward: QuadraticReward, numbers: Mapping[str, float]) -> KernelPlan:
     """Raises NoKernel."""
     plan = plan_of_world(world, {}, {"CHOICE": 1})
     plan.numbers |= {
