@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from edtorch.learner.learner import Actor
 from edtorch.learner.observer import Observer
 from edtorch.native.choice import Mode
-from edtorch.native.plan import NoKernel, KernelPlan, add_policy, add_world, begun, place
+from edtorch.native.plan import KernelPlan, NoKernel, add_policy, add_world, begun, place
 from edtorch.native.program import Unavailable, load_kernel
 from edtorch.native.source import source_of
 from edtorch.run import evaluation

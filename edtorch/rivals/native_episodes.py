@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from edtorch.native.plan import NoKernel, KernelPlan, add_policy
+from edtorch.native.plan import KernelPlan, NoKernel, add_policy
 from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
 from edtorch.native.worlds import plan_of_world

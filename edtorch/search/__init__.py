@@ -1,0 +1,1 @@
+"""Planned search: trajectories and their gains, computed on a learned mechanism model."""

@@ -1,0 +1,57 @@
+"""What the planner is tried on: the swing-up of a cart-pole, and a linear system."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edtorch.model.lift import Lift
+from edtorch.model.mechanism import Structure
+from edtorch.model.terms import Terms
+from edtorch.search.plan import Cost, ramp
+from edtorch.search.tick_model import TickModel
+from tests import cart_poles
+
+HANGING = np.array([0.0, 0.0, math.pi, 0.0])
+POLE = 0.5
+"""Its length, m."""
+
+
+def swing_up(dt: float = 0.1) -> TickModel:
+    """The cart-pole itself: its equations of motion as an implicit model."""
+    structure = cart_poles.structure(cart_poles.told())
+    weight = cart_poles.true_weight(structure).numpy()
+    return TickModel(structure, weight, dt, np.zeros(1), np.ones(1))
+
+
+def swing_up_cost(model: TickModel, ticks: int = 40, power: float = 4.0) -> Cost:
+    """4 d^2 + .4 (speed^2 + rate^2), d (m) from the tip to where it stands above x = 0."""
+    lift = model.structure.lift
+    rows = np.zeros((4, lift.size))
+    rows[0, [lift.entry("position"), lift.entry("sin angle")]] = 2.0, -2 * POLE
+    rows[1, [lift.entry("cos angle"), 0]] = 2 * POLE, -2 * POLE
+    rows[2, lift.entry("speed")] = rows[3, lift.entry("rate")] = math.sqrt(0.4)
+    return Cost(np.tile(rows, (ticks + 1, 1, 1)), ramp(ticks, power), np.array([0.05]))
+
+
+def oscillator(dt: float = 0.1, force: float = 1e3) -> TickModel:
+    """An unstable mass, x'' = 2 x - .3 x' + u, whose bound ``force`` is far beyond its actions."""
+    names = ("1", "x", "v", "u")
+    lift = Lift(np.zeros(2, bool), np.array([1, 2]), np.ones(2), 3, names)
+    terms = Terms(np.array([[1], [2], [3]]), np.full(3, -1))
+    structure = Structure(lift, terms, np.array([1]), np.array([1, -1]), np.array([1.0, 0.0]))
+    return TickModel(structure, np.array([[2.0, -0.3, 1.0]]), dt, np.zeros(1), np.array([force]))
+
+
+def oscillator_cost(model: TickModel, ticks: int = 30) -> Cost:
+    """x^2 + .1 v^2 + .2 u^2."""
+    rows = np.zeros((ticks + 1, 2, 4))
+    rows[:, 0, 1], rows[:, 1, 2] = 1.0, math.sqrt(0.1)
+    return Cost(rows, np.ones(ticks + 1), 0.2 * model.half**2, 0.0)
+
+
+def tip_error(state: np.ndarray) -> np.ndarray:
+    """Metres ``[T]`` from the tip to where it is to be, of states ``[T, 4]`` of the cart-pole."""
+    across = state[:, 0] - POLE * np.sin(state[:, 2])
+    return np.hypot(across, POLE * np.cos(state[:, 2]) - POLE)
