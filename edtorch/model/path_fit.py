@@ -65,7 +65,7 @@ def fit_paths(
     """
     if passes < 1:
         raise ValueError(f"passes={passes}: expected at least 1")
-    data = usable(structure, transition)
+    data = usable(transition)
     change = structure.difference(data.next_state, data.state)
     y = change[:, torch.from_numpy(structure.learned)] / data.dt.unsqueeze(-1)
     first = _regressors(structure, _interpolated(structure, data, change, y), data.action)
@@ -81,7 +81,7 @@ def fit_paths(
     return found
 
 
-def usable(structure: Structure, transition: Transition) -> Transition:
+def usable(transition: Transition) -> Transition:
     """The valid rows, with dt ``[N]``; ValueErrors as for ``fit_paths``."""
     valid = transition.valid
     data = Transition(
