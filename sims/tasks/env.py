@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
+from sims.base import spec_index
 from sims.gymnasium_env import Array, SimEnv
 from sims.sensing import Sensed
 from sims.tasks.cart_double_pendulum import CartDoublePendulum
@@ -17,6 +18,7 @@ from sims.tasks.double_pendulum import DoublePendulum
 from sims.tasks.held_tip import HeldTip
 from sims.tasks.pendubot import Pendubot
 from sims.tasks.pendulum_swing_up import PendulumSwingUp
+from sims.tasks.unicycle import RADIUS, TO_DISC, Unicycle
 
 
 class HeldTipEnv(SimEnv):
@@ -90,3 +92,47 @@ class CartDoublePendulumEnv(HeldTipEnv):
     """``sims.tasks.cart_double_pendulum.CartDoublePendulum``."""
 
     task = CartDoublePendulum
+
+
+class UnicycleEnv(SimEnv):
+    """Keep a robotic unicycle upright for ten seconds: ``sims.tasks.unicycle.Unicycle``.
+
+    Angles are read with normal errors of standard deviation ``angle_noise`` (rad), rates with
+    ``rate_noise`` (rad/s); the defaults are PILCO's.
+
+    The reward of a step is *r = exp(-d^2 / 2)*, d (m) the distance of the disc from where it is in
+    an upright unicycle on the same point of the ground, by the reading that the step returns.
+
+    A fall terminates an episode (info ``outcome`` FAILED), the time limit truncates it (SUCCEEDED).
+
+    Arguments: ``angle_noise``, ``rate_noise``, ``render_mode`` (None, "rgb_array"), and those of
+    the simulator by name.
+    """
+
+    def __init__(
+        self,
+        *,
+        angle_noise: float = 0.003,
+        rate_noise: float = 0.01,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        """The unicycle, with ``arguments`` of its own, seen through sensors."""
+        sim = Unicycle(**arguments)
+        deviations = {q.name: rate_noise if q.rate_of else angle_noise for q in sim.spec.state}
+        roll, pitch = spec_index(sim.spec, ("roll", "pitch"))
+        super().__init__(Sensed(sim, deviations), _Height(roll, pitch), render_mode=render_mode)
+
+
+@dataclass(frozen=True)
+class _Height:
+    """The reward of a step; roll, pitch: where they are in the observation."""
+
+    roll: int
+    pitch: int
+
+    def __call__(self, before: Array, action: Array, after: Array) -> float:
+        forward = TO_DISC * np.sin(after[self.pitch])
+        up, top = RADIUS + TO_DISC * np.cos(after[self.pitch]), RADIUS + TO_DISC
+        square = forward**2 + up**2 + top**2 - 2 * up * top * np.cos(after[self.roll])
+        return float(np.exp(-0.5 * square))

@@ -5,15 +5,20 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from sims.base import Measure, Outcome, Quantity, Spec
-from sims.normal import normal_quantile_over
-from sims.rows import TORCH, Function, Namespace, Rows, RowSim, joined, stacked, unstacked
+from sims.rows import TORCH, Function, Namespace, Rows, RowSim, stacked, unstacked
+from sims.tasks.episode import (
+    first_over,
+    first_tick,
+    is_before,
+    normal_start_over,
+    readings_over,
+)
 from sims.tasks.integrate import runge_kutta_over
 
 _RUNNING, _SUCCEEDED, _TIMED_OUT = map(int, (Outcome.RUNNING, Outcome.SUCCEEDED, Outcome.TIMED_OUT))
@@ -104,10 +109,6 @@ class HeldTip(RowSim):
         in m, from the first joint, at height 0, to the tip."""
         raise NotImplementedError(f"{type(self).__name__}: expected a function `joints`")
 
-    def _mechanism(self, xp: Namespace) -> Function:
-        """The mechanism's part of a full state."""
-        return joined(xp, *(xp.jit(lambda s, i=i: (s[i],)) for i in range(len(self.mean))))
-
     def _distance(self, xp: Namespace) -> Function:
         """Of the tip from its target, m: from (mechanism's state, seconds, constants)."""
         joints = xp.jit(self.joints(xp))
@@ -124,42 +125,25 @@ class HeldTip(RowSim):
     def rows(self, xp: Namespace) -> Rows:
         """Steps of Runge and Kutta's method, and three rows more for the judgement."""
         n = len(self.mean)
-        mechanism, distance = self._mechanism(xp), self._distance(xp)
+        mechanism, distance = first_over(xp, n), self._distance(xp)
         move = runge_kutta_over(xp, xp.jit(self.derivative(xp)), n, self.substeps)
-        quantile, is_before = normal_quantile_over(xp), xp.jit(_is_before)
-        mean, deviation = self.mean, self.deviation
-
-        def started(i: int) -> Function:
-            return xp.jit(lambda s, u, c: (mean[i] + deviation[i] * quantile(u[i]),))
-
-        def seen(i: int) -> Function:
-            if not self.spec.state[i].period:
-                return xp.jit(lambda s, c: (s[i],))
-
-            @xp.jit
-            def wrapped(s, c):
-                angle = s[i] - 2 * math.pi * xp.floor(s[i] / (2 * math.pi) + 0.5)
-                return (xp.maximum(xp.minimum(angle, math.pi), -math.pi),)
-
-            return wrapped
-
-        start = joined(xp, *(started(i) for i in range(n)))
+        start, before = normal_start_over(xp, self.mean, self.deviation), xp.jit(is_before)
 
         def step(s, action, uniforms, c):
             moved, tick = move(mechanism(s), action, c.dt), s[n] + 1
             away = distance(moved, tick * c.dt, c)
-            early = is_before(tick, c.hold_from, c)
+            early = before(tick, c.hold_from, c.dt)
             held = s[n + 1] * xp.as_number(xp.either(early, away <= c.width))
             return (*moved, tick, held, s[n + 2] + xp.where(early, 0.0, away * away))
 
         def outcome(s, c):
             ended = xp.where(s[n + 1] > 0.5, _SUCCEEDED, _TIMED_OUT)
-            return xp.where(is_before(s[n], c.time_limit, c), _RUNNING, ended)
+            return xp.where(before(s[n], c.time_limit, c.dt), _RUNNING, ended)
 
         return Rows(
             width=n + 3,
             step=step,
-            observe=joined(xp, *(seen(i) for i in range(n))),
+            observe=readings_over(xp, self.spec.state),
             outcome=outcome,
             start=lambda s, u, c: (*start(s, u, c), 0.0, 1.0, 0.0),
             constants=self.constants,
@@ -177,8 +161,9 @@ class HeldTip(RowSim):
         states after it do not count."""
         c, ticks = self.constants, torch.arange(states.shape[-2]).to(states)
         near = self.distance(states, ticks * c.dt) <= c.width
-        ended = ~_is_before(ticks, c.time_limit, c)
-        outside = _is_before(ticks, c.hold_from, c) | ~_is_before(ticks - 1, c.time_limit, c)
+        ended = ~is_before(ticks, c.time_limit, c.dt)
+        after = ~is_before(ticks - 1, c.time_limit, c.dt)
+        outside = is_before(ticks, c.hold_from, c.dt) | after
         return (near | outside).all(-1) & ended.any()
 
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
@@ -188,7 +173,7 @@ class HeldTip(RowSim):
         square of that distance over the ticks from ``hold_from`` on, NaN if there were none.
         """
         c, (tick, _, squares) = self.constants, final[..., len(self.mean) :].unbind(-1)
-        held = tick - math.ceil(c.hold_from / c.dt - 0.5) + 1
+        held = tick - first_tick(c.hold_from, c.dt) + 1
         return {
             "tip_distance_m": self.distance(final, tick * c.dt),
             "tip_rms_m": (squares / held.clamp(min=0)).sqrt(),
@@ -209,8 +194,3 @@ class HeldTip(RowSim):
             on_rail=self.spec.state[0].name == "position",
             seconds=seconds,
         )
-
-
-def _is_before(tick: Any, seconds: float, c: Any) -> Any:
-    # Half a tick of tolerance: the product is rounded.
-    return tick * c.dt < seconds - c.dt / 2

@@ -1,7 +1,9 @@
-"""Pictures of the tasks: rods in a vertical plane."""
+"""Pictures of the tasks: rods in a vertical plane, wires in space."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -75,6 +77,46 @@ def rods(
         draw.line((*place(a), *place(b)), fill=colour, width=14)
         disc(a, 9, _SOFT)
         disc(b, 7, colour)
+    return _finished(image, draw, seconds)
+
+
+def wires(
+    curves: Sequence[np.ndarray], *, ground: np.ndarray, path: np.ndarray, seconds: float
+) -> np.ndarray:
+    """RGB picture, uint8 ``[270, 480, 3]``, of ``curves``, each ``[K, 3]`` (m, z up), about 1 m
+    high, seen from above and behind.
+
+    ``ground`` ``[3]``: the point of the ground that the picture follows; ``path`` ``[T, 3]``: a
+    line on the ground; ``seconds``: what the clock shows.
+    """
+    scale = HEIGHT * _FINE / 1.9
+    round_, down = math.radians(35), math.radians(18)
+    right = np.array([math.sin(round_), -math.cos(round_), 0.0])
+    up = np.array([math.sin(down) * math.cos(round_), math.sin(down) * math.sin(round_), 0.0])
+    up[2] = math.cos(down)
+    image = Image.new("RGB", (WIDTH * _FINE, HEIGHT * _FINE), _PAPER)
+    draw = ImageDraw.Draw(image)
+
+    def line(points: np.ndarray, colour: tuple[int, int, int], width: int) -> None:
+        seen = points - ground
+        x = WIDTH * _FINE / 2 + scale * (seen @ right)
+        y = 0.78 * HEIGHT * _FINE - scale * (seen @ up)
+        draw.line(list(zip(x.tolist(), y.tolist(), strict=True)), colour, width, joint="curve")
+
+    low, high = np.floor(ground[:2]) - 4, np.floor(ground[:2]) + 5
+    for k in range(10):
+        a, b = low + k
+        line(np.array([[a, low[1], 0.0], [a, high[1], 0.0]]), _GRID, 2)
+        line(np.array([[low[0], b, 0.0], [high[0], b, 0.0]]), _GRID, 2)
+    if len(path) > 1:
+        line(path, _PATH, 4)
+    for k, curve in enumerate(curves):
+        line(curve, (_INK, *_RODS, _GOAL)[k % 4], 6)
+    return _finished(image, draw, seconds)
+
+
+def _finished(image: Image.Image, draw: ImageDraw.ImageDraw, seconds: float) -> np.ndarray:
+    """The picture at its size, with a clock."""
     font = ImageFont.load_default(26)
     draw.text((WIDTH * _FINE - 20, 14), f"{seconds:.2f} s", _INK, font, anchor="ra")
     return np.asarray(image.reduce(_FINE))

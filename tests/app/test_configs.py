@@ -74,6 +74,7 @@ BESIDE = {
         ("domain", name): ["reward=quadratic", "+reward.state.angle_1=1"]
         for name in ("pendubot", "double_pendulum", "cart_double_pendulum")
     },
+    ("domain", "unicycle"): ["reward=quadratic", "+reward.state.roll=1"],
     ("domain", "linear"): ["reward=quadratic", "+reward.state.state_0=1"],
     ("domain", "gymnasium"): [
         "domain.env_id=Pendulum-v1",

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from sims.tasks.env import HeldTipEnv, PendulumSwingUpEnv
+from sims.tasks.env import HeldTipEnv, PendulumSwingUpEnv, UnicycleEnv
 
 TASKS = ["CartPoleSwingUp", "PendulumSwingUp", "Pendubot", "DoublePendulum", "CartDoublePendulum"]
 
@@ -41,3 +41,27 @@ def test_a_moving_target_is_refused() -> None:
         ValueError, match=r"amplitude=0.5: expected 0, an observation does not tell"
     ):
         gymnasium.make("edtorch/CartPoleSwingUp-v0", amplitude=0.5)
+
+
+def test_a_unicycle_falls() -> None:
+    env = gymnasium.make("edtorch/Unicycle-v0", render_mode="rgb_array")
+    assert isinstance(env.unwrapped, UnicycleEnv)
+    _, info = env.reset(seed=0)
+    terminated, total, reward = False, 0.0, 1.0
+    while not terminated:
+        before = float(reward)
+        _, reward, terminated, truncated, info = env.step(np.array([0.0, 5.0]))
+        total += float(reward)
+        assert 0 < float(reward) <= before + 0.01 and not truncated
+    assert info["outcome"] == "FAILED" and info["measures"]["largest_tilt_rad"] > math.pi / 2
+    assert 1 < total < 20
+    assert np.asarray(env.render()).shape == (270, 480, 3)
+
+
+def test_the_reward_of_a_unicycle_is_of_its_height() -> None:
+    env, tilted = UnicycleEnv(), np.zeros(10)
+    assert env.reward(np.zeros(10), np.zeros(2), tilted) == 1.0
+    # On its side, its disc is sqrt(2) of its height, 1.035 m, away from upright.
+    tilted[0] = math.pi / 2
+    reward = env.reward(np.zeros(10), np.zeros(2), tilted)
+    assert reward == pytest.approx(math.exp(-(1.035**2)))

@@ -52,7 +52,7 @@ def test_conforms(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", ["pendulum", "cart-double-pendulum"])
 def test_conforms_compiled(name: str) -> None:
     check(TASKS[name](), batches=((5,),), steps=3)
 
