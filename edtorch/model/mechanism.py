@@ -129,6 +129,32 @@ def runge_kutta(
     return state
 
 
+def runge_kutta_jacobian(
+    structure: Structure,
+    weight: Tensor,
+    state: Tensor,
+    action: Tensor,
+    seconds: Tensor | float,
+    steps: int = 2,
+) -> Tensor:
+    """Derivative of ``runge_kutta`` by (s, u), ``[*batch, n, n + m]``: the chain rule."""
+    h = torch.as_tensor(seconds, dtype=state.dtype).unsqueeze(-1) / steps
+    n, m = state.shape[-1], action.shape[-1]
+    start = torch.eye(n, n + m, dtype=state.dtype).expand(*state.shape[:-1], n, n + m)
+    for _ in range(steps):
+        slope, turn = torch.zeros_like(state), torch.zeros_like(start)
+        change, turned = slope, turn
+        for part, share in ((0.0, 1 / 6), (0.5, 1 / 3), (0.5, 1 / 3), (1.0, 1 / 6)):
+            at, moved = state + part * h * slope, start + part * h.unsqueeze(-1) * turn
+            jacobian = derivative_jacobian(structure, weight, at, action)
+            own = torch.cat([torch.zeros_like(jacobian[..., :n]), jacobian[..., n:]], dim=-1)
+            turn = jacobian[..., :n] @ moved + own
+            slope = state_derivative(structure, weight, at, action)
+            change, turned = change + share * slope, turned + share * turn
+        state, start = state + h * change, start + h.unsqueeze(-1) * turned
+    return start
+
+
 def _completed(structure: Structure, learned: Tensor, state: Tensor) -> Tensor:
     """ds/dt ``[*batch, n, p]`` from f ``[*batch, L, p]`` and s ``[*batch, n, p]``, or their
     derivatives: told rates are components of s times ``ratio``."""

@@ -14,6 +14,7 @@ from edtorch.model.mechanism import (
     accelerations,
     derivative_jacobian,
     runge_kutta,
+    runge_kutta_jacobian,
     state_derivative,
 )
 from edtorch.model.terms import Terms
@@ -84,6 +85,19 @@ def test_runge_kutta_is_of_fourth_order() -> None:
     ]
     assert errors[2] < 1e-4
     assert math.log2(errors[0] / errors[1]) > 3.5 and math.log2(errors[1] / errors[2]) > 3.5
+
+
+def test_jacobian_of_a_tick_is_that_of_automatic_differentiation() -> None:
+    built, (state, action) = structure(told()), _rows(4)
+    weight, seconds = true_weight(built), torch.tensor([0.02, 0.1, 0.05, 0.1]).double()
+
+    def tick(s: torch.Tensor, u: torch.Tensor, dt: torch.Tensor) -> torch.Tensor:
+        return runge_kutta(built, weight, s, u, dt, steps=3)
+
+    by_state, by_action = vmap(jacrev(tick, argnums=(0, 1)))(state, action, seconds)
+    found = runge_kutta_jacobian(built, weight, state, action, seconds, steps=3)
+    expected = torch.cat([by_state, by_action], dim=-1)
+    torch.testing.assert_close(found, expected, rtol=1e-11, atol=1e-12)
 
 
 def test_seconds_of_each_row() -> None:
