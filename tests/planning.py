@@ -10,6 +10,7 @@ from edtorch.model.lift import Lift
 from edtorch.model.mechanism import Structure
 from edtorch.model.terms import Terms
 from edtorch.search.plan import Cost, ramp
+from edtorch.search.program import kernels
 from edtorch.search.tick_model import TickModel
 from tests import cart_poles
 
@@ -55,3 +56,15 @@ def tip_error(state: np.ndarray) -> np.ndarray:
     """Metres ``[T]`` from the tip to where it is to be, of states ``[T, 4]`` of the cart-pole."""
     across = state[:, 0] - POLE * np.sin(state[:, 2])
     return np.hypot(across, POLE * np.cos(state[:, 2]) - POLE)
+
+
+def tick_once(
+    model: TickModel, weight: np.ndarray, state: np.ndarray, action: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The compiled state one tick later ``[n]``, and its derivative ``[n, n + m]``."""
+    n, m = len(state), len(action)
+    room = kernels()["room_for"](n, m, model.parts)
+    after, by = np.zeros(n), np.zeros((n, n + m))
+    x = np.concatenate((state, action))
+    kernels()["tick_jacobian"](x, weight, model.parts, room, after, by)
+    return after, by

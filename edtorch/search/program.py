@@ -24,23 +24,25 @@ def planner_source() -> ModuleSource:
 
 def _entries() -> dict[str, tuple[object, ...]]:
     """Arguments of the kinds that the kernels are given."""
-    one, two, three, four = (np.zeros((1,) * size) for size in range(1, 5))
+    one, two, three = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))
     index = np.zeros(1, np.int64)
     lift = (np.zeros(1, np.bool_), index, one, 1)
     model = (lift, (index, index, index, index), (index, index, one, 0.1, 1))
     cost, bounds = (three, one, one, 0.1), (one, one)
-    settings = (0.1, 0.1, 0.1, 0.1, 0.1, 1, 0.1, 1, 0.1)
     problem = (model, two, cost, bounds)
-    batch = (three, three, four, one, index)
+    settings = (0.1, 0.1, 0.1, 0.1, 0.1, 1, 0.1, 1, 0.1)
+    expansion, plan = (three, three, two, three, two, two), (two, two, three)
+    room = (one, one, two, two, two, index, one, two, one, two, three)
     return {
-        "tick_once": (one, two, model, one, two),
-        "slope_once": (one, two, model, one, two),
-        "expand_plan": (*problem, two, two, (three, three, two, three, two, two)),
-        "backward": ((three, three, two, three, two, two), two, 0.1, two, three),
-        "shoot": (*problem, settings, *batch),
-        "connect": (*problem, settings, 0.1, *batch),
-        "quieten": (*problem, (0.1, 1, 0.1), (two, two, three), three, two, two),
-        "imagine": (model, three, cost, bounds, (two, two, three), two, three, three, one),
+        "room_for": (1, 1, model),
+        "slope_jacobian": (one, two, model, room, one),
+        "tick_jacobian": (one, two, model, room, one, two),
+        "expand": (*problem, two, two, expansion, two),
+        "backward": (expansion, two, 0.1, two, three),
+        "rolled": (*problem, 0.1, plan, (two, two)),
+        "descend": (*problem, settings, two, two, three, two, 0.1),
+        "quieten": (expansion, (0.1, 1, 0.1), three, three, two, two),
+        "imagine": (model, three, cost, bounds, plan, two, three, three, one),
     }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from edtorch.search.plan import Cost, Plan
 from edtorch.search.program import kernels
-from edtorch.search.shooting import planning_problem
+from edtorch.search.shooting import expand, planning_problem
 from edtorch.search.tick_model import TickModel, real
 
 _FLOOR = 1e-12
@@ -43,10 +43,11 @@ def quiet_gains(
     for name, matrix in (("start", start), ("noise", noise), ("process", added)):
         if matrix.shape != (n, n):
             raise ValueError(f"{name}: shape {matrix.shape}: expected {(n, n)}, a covariance")
-    state, raw, gain = real(plan.state), real(plan.raw), real(plan.gain).copy()
-    covariance = np.tile(real(start), (len(state), 1, 1))
+    expansion, _ = expand(planning_problem(model, cost), plan)
+    gain = real(plan.gain).copy()
+    covariance = np.tile(real(start), (len(plan.state), 1, 1))
     kernels()["quieten"](
-        *(*planning_problem(model, cost), (damping, sweeps, _FLOOR), (state, raw, gain)),
-        *(covariance, real(noise), real(added)),
+        *(expansion, (float(damping), sweeps, _FLOOR), gain, covariance),
+        *(real(noise), real(added)),
     )
     return replace(plan, gain=gain)

@@ -57,8 +57,8 @@ def shoot(
     The digits of a plan are the same whatever other starts there are.  Raises ValueError for
     arrays that do not fit each other, Unavailable where the kernels cannot be compiled.
     """
-    arguments = (*planning_problem(model, cost), descent_of(descent))
-    return _searched("shoot", arguments, cost, starts)
+    problem = planning_problem(model, cost)
+    return _found([_shot(problem, start, descent) for start in _checked(starts, cost)])
 
 
 def connect(
@@ -75,13 +75,60 @@ def connect(
     that the model says.  Then single shooting from there, so that a plan is a roll-out of the
     model.  Errors as for ``shoot``.
     """
-    arguments = (*planning_problem(model, cost), descent_of(descent), float(per_gap))
-    return _searched("connect", arguments, cost, starts)
+    problem, found = planning_problem(model, cost), []
+    for start in _checked(starts, cost):
+        _, gap = expand(problem, start)
+        linked, count = _descended(problem, start, gap, descent, per_gap)
+        plan, more = _shot(problem, linked, descent)
+        found.append((plan, count + more))
+    return _found(found)
 
 
-def descent_of(descent: Descent) -> tuple[Any, ...]:
-    """The settings as kernels take them."""
-    return astuple(descent)
+def expand(problem: tuple[Any, ...], plan: Plan) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """The expansion along a plan, as the kernel ``expand`` says, and the gaps ``[H, n]``."""
+    (ticks, m), n = plan.raw.shape, plan.state.shape[1]
+    shapes = [(ticks, n, n), (ticks, n, m), (ticks + 1, n), (ticks + 1, n, n)]
+    expansion = tuple(np.zeros(shape) for shape in [*shapes, (ticks, m), (ticks, m)])
+    gap = np.zeros((ticks, n))
+    kernels()["expand"](*problem, real(plan.state), real(plan.raw), expansion, gap)
+    return expansion, gap
+
+
+def _shot(problem: tuple[Any, ...], start: Plan, descent: Descent) -> tuple[Plan, int]:
+    given = (real(start.state), real(start.raw), real(start.gain))
+    state, raw = given[0].copy(), given[1].copy()
+    cost = kernels()["rolled"](*problem, float(descent.largest), given, (state, raw))
+    rolled = Plan(state, raw, start.gain, cost)
+    return _descended(problem, rolled, np.zeros((len(raw), state.shape[1])), descent, 0.0)
+
+
+def _descended(
+    problem: tuple[Any, ...], start: Plan, gap: np.ndarray, descent: Descent, per_gap: float
+) -> tuple[Plan, int]:
+    state, raw, gain = (real(part).copy() for part in (start.state, start.raw, start.gain))
+    merit, count = kernels()["descend"](
+        *(*problem, astuple(descent), state, raw, gain, gap, float(per_gap))
+    )
+    return Plan(state, raw, gain, merit), count
+
+
+def _checked(starts: Sequence[Plan], cost: Cost) -> Sequence[Plan]:
+    """Raises ValueError if there is none, or one is not of the cost's horizon."""
+    if not starts:
+        raise ValueError("starts: expected one or more")
+    for start in starts:
+        if len(start.raw) != cost.ticks:
+            raise ValueError(
+                f"starts: one of {len(start.raw)} ticks; expected {cost.ticks}, the horizon of the"
+                " cost"
+            )
+    return starts
+
+
+def _found(found: Sequence[tuple[Plan, int]]) -> Found:
+    kept = [(plan, count) for plan, count in found if np.isfinite(plan.cost)]
+    plans = tuple(plan for plan, _ in kept)
+    return Found(plans, len(found) - len(kept), tuple(count for _, count in kept))
 
 
 def planning_problem(model: TickModel, cost: Cost) -> tuple[Any, ...]:
@@ -109,34 +156,3 @@ def planning_problem(model: TickModel, cost: Cost) -> tuple[Any, ...]:
         )
     weights = (real(cost.rows), real(cost.weight), real(cost.action), float(cost.squash))
     return model.parts, real(model.weight), weights, model.bounds
-
-
-def _searched(kernel: str, arguments: tuple[Any, ...], cost: Cost, starts: Sequence[Plan]) -> Found:
-    state, raw, gain = plan_arrays(starts, cost.ticks)
-    value, count = np.full(len(starts), np.inf), np.zeros(len(starts), np.int64)
-    kernels()[kernel](*arguments, state, raw, gain, value, count)
-    kept = [r for r in range(len(starts)) if np.isfinite(value[r])]
-    return Found(
-        tuple(Plan(state[r], raw[r], gain[r], float(value[r])) for r in kept),
-        len(starts) - len(kept),
-        tuple(int(count[r]) for r in kept),
-    )
-
-
-def plan_arrays(starts: Sequence[Plan], ticks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Copies of the states, raw actions and gains of R plans ``[R, ...]``.
-
-    Raises ValueError if there is none, or one is not of ``ticks`` ticks.
-    """
-    if not starts:
-        raise ValueError("starts: expected one or more")
-    for start in starts:
-        if len(start.raw) != ticks:
-            raise ValueError(
-                f"starts: one of {len(start.raw)} ticks; expected {ticks}, the horizon of the cost"
-            )
-    return (
-        np.stack([real(start.state) for start in starts]),
-        np.stack([real(start.raw) for start in starts]),
-        np.stack([real(start.gain) for start in starts]),
-    )

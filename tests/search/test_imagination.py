@@ -7,11 +7,10 @@ import pytest
 
 from edtorch.search.imagination import imagine
 from edtorch.search.plan import Cost, Plan
-from edtorch.search.program import kernels
 from edtorch.search.shooting import Descent, shoot
 from edtorch.search.starts import sinusoids
 from edtorch.search.tick_model import TickModel
-from tests.planning import HANGING, swing_up, swing_up_cost
+from tests.planning import HANGING, swing_up, swing_up_cost, tick_once
 
 
 def _planned() -> tuple[TickModel, Cost, Plan]:
@@ -40,16 +39,14 @@ def test_each_has_its_weights_start_and_noise() -> None:
     start[1, 2] -= 2 * np.pi
     noise = 0.01 * generator.standard_normal((3, 40, 4))
     imagined = imagine(model, cost, plan, weight, start, noise)
-    after, by = np.zeros(4), np.zeros((4, 5))
     for p in range(3):
         state = start[p]
         for t in range(40):
             np.testing.assert_allclose(imagined.state[p, t], state, rtol=1e-6, atol=1e-6)
             away = state + noise[p, t] - plan.state[t]
             away[2] -= 2 * np.pi * np.round(away[2] / (2 * np.pi))
-            x = np.concatenate((state, np.tanh(plan.raw[t] + plan.gain[t] @ away)))
-            kernels()["tick_once"](x, weight[p], model.parts, after, by)
-            state = after.copy()
+            action = np.tanh(plan.raw[t] + plan.gain[t] @ away)
+            state, _ = tick_once(model, weight[p], state, action)
 
 
 def test_one_that_is_not_finite_is_flagged() -> None:

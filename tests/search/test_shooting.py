@@ -14,16 +14,23 @@ import pytest
 from edtorch.native.program import Unavailable
 from edtorch.search.plan import Cost, Plan
 from edtorch.search.program import kernels, planner_source
-from edtorch.search.shooting import Descent, Found, connect, planning_problem, shoot
+from edtorch.search.shooting import Descent, Found, connect, expand, planning_problem, shoot
 from edtorch.search.starts import lines, sinusoids, still
 from edtorch.search.tick_model import TickModel
-from tests.planning import HANGING, oscillator, oscillator_cost, swing_up, swing_up_cost, tip_error
+from tests.planning import (
+    HANGING,
+    oscillator,
+    oscillator_cost,
+    swing_up,
+    swing_up_cost,
+    tick_once,
+    tip_error,
+)
 
 
 def riccati(model: TickModel, cost: Cost) -> tuple[np.ndarray, np.ndarray]:
     """Cost to go ``[2, 2]`` at the start, and gains ``[H, 1, 2]`` of the force."""
-    after, by = np.zeros(2), np.zeros((2, 3))
-    kernels()["tick_once"](np.zeros(3), model.weight, model.parts, after, by)
+    _, by = tick_once(model, model.weight, np.zeros(2), np.zeros(1))
     a, b = by[:, :2], by[:, 2:]
     force = cost.action / model.half**2
     ahead, gains = np.zeros((2, 2)), []
@@ -52,12 +59,10 @@ def test_on_a_linear_system_a_plan_is_riccatis(search: Callable[..., Found]) -> 
 
 def cost_by_hand(model: TickModel, cost: Cost, start: np.ndarray, raw: np.ndarray) -> float:
     state, total = start.copy(), 0.0
-    after, by = np.zeros(4), np.zeros((4, 5))
     for t, z in enumerate(raw):
         total += float(cost.action @ np.tanh(z) ** 2 + cost.squash * z @ z)
-        x = np.concatenate((state, model.middle + model.half * np.tanh(z)))
-        kernels()["tick_once"](x, model.weight, model.parts, after, by)
-        state = after.copy()
+        action = model.middle + model.half * np.tanh(z)
+        state, _ = tick_once(model, model.weight, state, action)
         sin, cos = math.sin(state[2]), math.cos(state[2])
         entry = np.array([1.0, state[0], state[1], sin, cos, state[3], 0.0])
         total += float(cost.weight[t + 1] * ((cost.rows[t + 1] @ entry) ** 2).sum())
@@ -77,14 +82,6 @@ def test_the_cost_is_the_sum_that_it_says() -> None:
     assert plan.cost == pytest.approx(cost_by_hand(model, cost, HANGING, start.raw), rel=1e-12)
 
 
-def expanded(model: TickModel, cost: Cost, plan: Plan) -> tuple[np.ndarray, ...]:
-    ticks, n = len(plan.raw), 4
-    shapes = [(ticks, n, n), (ticks, n, 1), (ticks + 1, n), (ticks + 1, n, n)]
-    expansion = tuple(np.zeros(shape) for shape in [*shapes, (ticks, 1), (ticks, 1)])
-    kernels()["expand_plan"](*planning_problem(model, cost), plan.state, plan.raw, expansion)
-    return expansion
-
-
 def test_the_gradient_is_that_of_finite_differences() -> None:
     model = swing_up()
     cost = replace(swing_up_cost(model, ticks=12, power=1.0), squash=0.03)
@@ -92,7 +89,9 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
     (plan,) = shoot(model, cost, [start], Descent(limit=0)).plans
     # With a damping out of all proportion a step is the gradient divided by it.
     feed, damping = np.zeros((12, 1)), 1e12
-    given = (expanded(model, cost, plan), np.zeros((12, 4)), damping)
+    expansion, gap = expand(planning_problem(model, cost), plan)
+    np.testing.assert_allclose(gap, 0.0, atol=1e-15)
+    given = (expansion, gap, damping)
     kernels()["backward"](*given, feed, np.zeros((12, 1, 4)))
     for t in range(12):
         raw = np.stack([start.raw, start.raw])
@@ -164,22 +163,21 @@ def test_without_numba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_compiled_it_computes_what_it_says() -> None:
-    """The text run by Python itself, to rounding."""
+    """The text run by Python itself, to rounding; from states with gaps."""
     model = swing_up()
     cost = swing_up_cost(model, ticks=3)
     names: dict[str, Any] = {"outer": lambda function: function}
     exec(planner_source().text, names)
-    for kernel, more in (("shoot", ()), ("connect", (10.0,))):
-        found = []
-        for function in (names[kernel], kernels()[kernel]):
-            state, raw = np.tile(HANGING, (1, 4, 1)), np.full((1, 3, 1), 0.2)
-            gain, value, count = np.zeros((1, 3, 1, 4)), np.zeros(1), np.zeros(1, np.int64)
-            settings = (1e-3, 0.4, 6.0, 1e5, 0.4, 6, 3.0, 2, 1e-4)
-            given = (*planning_problem(model, cost), settings, *more)
-            function(*given, state, raw, gain, value, count)
-            found.append((state, raw, gain, value, count))
-        for python, compiled in zip(*found, strict=True):
-            np.testing.assert_allclose(python, compiled, rtol=1e-9, atol=1e-9)
+    found, settings = [], (1e-3, 0.4, 6.0, 1e5, 0.4, 6, 3.0, 2, 1e-4)
+    for function in (names["descend"], kernels()["descend"]):
+        state, raw = np.tile(HANGING, (4, 1)), np.full((3, 1), 0.2)
+        gain, gap = np.zeros((3, 1, 4)), np.full((3, 4), 0.01)
+        merit, count = function(
+            *(*planning_problem(model, cost), settings, state, raw, gain, gap, 10.0)
+        )
+        found.append((state, raw, gain, gap, merit, count))
+    for python, compiled in zip(*found, strict=True):
+        np.testing.assert_allclose(python, compiled, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.experiment

@@ -13,7 +13,7 @@ from edtorch.model.terms import Terms
 from edtorch.search.program import kernels
 from edtorch.search.tick_model import TickModel, product_tree
 from tests import cart_poles
-from tests.planning import swing_up
+from tests.planning import swing_up, tick_once
 
 
 def _models() -> list[TickModel]:
@@ -28,12 +28,19 @@ def _models() -> list[TickModel]:
     return models
 
 
+def slope_once(model: TickModel, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The compiled ds/dt ``[n]``, and the derivative of what is learned of it ``[L, n + m]``."""
+    n = len(model.structure.source)
+    room, slope = kernels()["room_for"](n, len(x) - n, model.parts), np.zeros(n)
+    kernels()["slope_jacobian"](x, model.weight, model.parts, room, slope)
+    return slope, room[7]
+
+
 @pytest.mark.parametrize("model", _models(), ids=["true", "implicit", "products", "monomials"])
 def test_a_tick_and_its_jacobian_are_those_of_torch(model: TickModel) -> None:
     x = np.random.default_rng(1).standard_normal(5)
     weight, row = torch.from_numpy(model.weight), torch.from_numpy(x)
-    after, by = np.zeros(4), np.zeros((4, 5))
-    kernels()["tick_once"](x, model.weight, model.parts, after, by)
+    after, by = tick_once(model, model.weight, x[:4], x[4:])
 
     def moved(row: torch.Tensor) -> torch.Tensor:
         return runge_kutta(model.structure, weight, row[:4], row[4:], model.dt, model.substeps)
@@ -47,8 +54,7 @@ def test_the_derivative_is_that_of_torch(model: TickModel) -> None:
     x = np.random.default_rng(2).standard_normal(5)
     given = (model.structure, torch.from_numpy(model.weight), torch.from_numpy(x[:4]))
     action = torch.from_numpy(x[4:])
-    slope, by = np.zeros(4), np.zeros((2, 5))
-    kernels()["slope_once"](x, model.weight, model.parts, slope, by)
+    slope, by = slope_once(model, x)
     np.testing.assert_allclose(slope, state_derivative(*given, action), rtol=1e-12, atol=1e-13)
     expected = derivative_jacobian(*given, action)[model.structure.learned]
     np.testing.assert_allclose(by, expected, rtol=1e-12, atol=1e-12)
@@ -81,9 +87,7 @@ def test_coupled_accelerations_of_six_joints_are_solved() -> None:
     generator = np.random.default_rng(4)
     weight = generator.standard_normal((size, terms.count)) * structure.allowed.numpy()
     x = generator.standard_normal(size + 1)
-    slope, by = np.zeros(size), np.zeros((size, size + 1))
-    model = TickModel(structure, weight, 0.1, np.zeros(1), np.ones(1))
-    kernels()["slope_once"](x, weight, model.parts, slope, by)
+    slope, by = slope_once(TickModel(structure, weight, 0.1, np.zeros(1), np.ones(1)), x)
 
     def derivative_of(row: torch.Tensor) -> torch.Tensor:
         return state_derivative(structure, torch.from_numpy(weight), row[:size], row[size:])

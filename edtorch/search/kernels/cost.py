@@ -2,6 +2,14 @@
 
 
 @outer
+def place(x, state):
+    """x = (state, 0)."""
+    x[:] = 0.0
+    for i in range(len(state)):
+        x[i] = state[i]
+
+
+@outer
 def state_cost(x, t, model, cost, room):
     """weight[t] |rows[t] A(s_t)|^2."""
     rows, weight, entry = cost[0], cost[1], room[0]
@@ -55,30 +63,21 @@ def expand_state(x, t, model, cost, room, gradient, hessian):
 
 
 @outer
-def expansion_for(ticks, n, m):
-    """Arrays: ds'/ds, ds'/dz, gradient and Hessian in s, gradient and (diagonal) Hessian in z."""
-    return (
-        np.zeros((ticks, n, n)),
-        np.zeros((ticks, n, m)),
-        np.zeros((ticks + 1, n)),
-        np.zeros((ticks + 1, n, n)),
-        np.zeros((ticks, m)),
-        np.zeros((ticks, m)),
-    )
-
-
-@outer
-def expand(model, weight, cost, bounds, state, raw, room, expansion, gap):
+def expand(model, weight, cost, bounds, state, raw, expansion, gap):
     """The expansion along states and raw actions; gap [H, n]: what the model says the next state
-    is, less the state that stands there."""
+    is, less the state that stands there.
+
+    expansion: tuple (ds'/ds, ds'/dz, gradient and Hessian in s, gradient and diagonal Hessian in z)
+    of arrays [H, n, n], [H, n, m], [H + 1, n], [H + 1, n, n], [H, m], [H, m], to write to.
+    """
     by_state, by_raw, gradient, hessian, raw_gradient, raw_hessian = expansion
     middle, half = bounds
     ticks, m = raw.shape
     n = state.shape[1]
-    x, after, by = np.zeros(n + m), np.zeros(n), np.zeros((n, n + m))
+    room, x, after = room_for(n, m, model), np.zeros(n + m), np.zeros(n)
+    by = np.zeros((n, n + m))
     for t in range(ticks + 1):
-        x[:n] = state[t]
-        x[n:] = 0.0
+        place(x, state[t])
         # The start is given: it costs nothing.
         if t > 0:
             expand_state(x, t, model, cost, room, gradient[t], hessian[t])
@@ -98,11 +97,3 @@ def expand(model, weight, cost, bounds, state, raw, room, expansion, gap):
                 by_raw[t, i, j] = by[i, n + j] * half[j] * steep
             raw_gradient[t, j] = 2 * cost[2][j] * part * steep + 2 * cost[3] * raw[t, j]
             raw_hessian[t, j] = 2 * cost[2][j] * steep * steep + 2 * cost[3]
-
-
-@outer
-def expand_plan(model, weight, cost, bounds, state, raw, expansion):
-    """``expand`` by itself."""
-    n, m = state.shape[1], raw.shape[1]
-    room, gap = room_for(n, m, model), np.zeros((len(raw), n))
-    expand(model, weight, cost, bounds, state, raw, room, expansion, gap)

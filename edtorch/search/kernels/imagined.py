@@ -11,10 +11,11 @@ def imagine(model, weight, cost, bounds, plan, start, noise, state, value):
     n = reference.shape[1]
     room, x, shift = room_for(n, m, model), np.zeros(n + m), np.zeros(m)
     for p in range(len(start)):
-        state[p, 0] = start[p]
+        for i in range(n):
+            state[p, 0, i] = start[p, i]
         value[p] = 0.0
         for t in range(ticks):
-            x[:n] = state[p, t]
+            place(x, state[p, t])
             for j in range(m):
                 shift[j] = 0.0
                 for i in range(n):
@@ -23,8 +24,7 @@ def imagine(model, weight, cost, bounds, plan, start, noise, state, value):
                 x[n + j] = middle[j] + half[j] * math.tanh(raw[t, j] + shift[j])
             value[p] += action_cost(raw[t], shift, cost)
             tick(x, weight[p], model, room, state[p, t + 1])
-            x[:n] = state[p, t + 1]
-            x[n:] = 0.0
+            place(x, state[p, t + 1])
             value[p] += state_cost(x, t + 1, model, cost, room)
             if not math.isfinite(value[p]):
                 value[p] = np.inf

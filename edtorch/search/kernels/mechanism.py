@@ -150,8 +150,10 @@ def tick(x, weight, model, room, after):
     motion = model[2]
     substeps, point, ds, total = motion[4], room[8], room[9][0], room[9][1]
     n, h = len(after), motion[3] / substeps
-    point[:] = x
-    after[:] = x[:n]
+    for i in range(len(x)):
+        point[i] = x[i]
+    for i in range(n):
+        after[i] = x[i]
     for _ in range(substeps):
         for stage in range(4):
             part = 0.0 if stage == 0 else (h if stage == 3 else h / 2)
@@ -172,13 +174,17 @@ def tick_jacobian(x, weight, model, room, after, by):
     jacobian, point, ds, total = room[7], room[8], room[9][0], room[9][1]
     at, change, sums, start = room[10][0], room[10][1], room[10][2], room[10][3]
     n, width, h = len(after), len(x), seconds / substeps
-    point[:] = x
-    after[:] = x[:n]
+    for i in range(len(x)):
+        point[i] = x[i]
+    for i in range(n):
+        after[i] = x[i]
     for i in range(n):
         for q in range(width):
             by[i, q] = 1.0 if i == q else 0.0
     for _ in range(substeps):
-        start[:] = by
+        for i in range(n):
+            for q in range(width):
+                start[i, q] = by[i, q]
         for stage in range(4):
             part = 0.0 if stage == 0 else (h if stage == 3 else h / 2)
             share = 1.0 if stage in (0, 3) else 2.0
@@ -206,18 +212,3 @@ def tick_jacobian(x, weight, model, room, after, by):
             after[i] += h / 6 * total[i]
             for q in range(width):
                 by[i, q] = start[i, q] + h / 6 * sums[i, q]
-
-
-@outer
-def slope_once(x, weight, model, ds, by):
-    """``slope_jacobian`` by itself: ds [n] and by = df/dx [L, n + m]."""
-    room = room_for(len(ds), len(x) - len(ds), model)
-    slope_jacobian(x, weight, model, room, ds)
-    by[:] = room[7]
-
-
-@outer
-def tick_once(x, weight, model, after, by):
-    """``tick_jacobian`` by itself."""
-    room = room_for(len(after), len(x) - len(after), model)
-    tick_jacobian(x, weight, model, room, after, by)

@@ -27,38 +27,34 @@ def conjugated(left, inner_matrix, out, moved):
 
 
 @outer
-def quieten(model, weight, cost, bounds, settings, plan, covariance, noise, process):
-    """Replace the gains; settings: tuple (damping, sweeps, floor); plan: tuple (state, raw, gain);
+def quieten(expansion, settings, gain, covariance, noise, process):
+    """Replace the gains; expansion: of ``expand``; settings: tuple (damping, sweeps, floor);
     covariance [H + 1, n, n]: of the state, its first given, is written.
 
     Forward S' = (A + B K) S (A + B K)' + B K R K' B' + Q, backward K = -Quu^-1 Qux S (S + R)^-1
     with the cost to go under these gains, ``sweeps`` times.
     """
     damping, sweeps, floor = settings
-    state, raw, gain = plan
-    ticks, m = raw.shape
-    n = state.shape[1]
-    expansion, gap, room = expansion_for(ticks, n, m), np.zeros((ticks, n)), room_for(n, m, model)
-    expand(model, weight, cost, bounds, state, raw, room, expansion, gap)
-    by_state, by_raw, gradient, hessian = expansion[:4]
+    by_state, by_raw, hessian = expansion[0], expansion[1], expansion[3]
+    ticks, n, m = by_raw.shape
     loop, moved, push = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
     q, factors, pivot = quadratic_for(n, m), np.zeros((m, m)), np.zeros(m, np.int64)
     seen, order, row, column = np.zeros((n, n)), np.zeros(n, np.int64), np.zeros(n), np.zeros(m)
-    none, ahead = np.zeros(m), np.zeros(n)
+    none, ahead, unaware = np.zeros(m), np.zeros(n), np.zeros((m, n))
     for _ in range(sweeps):
         for t in range(ticks):
             closed(by_state[t], by_raw[t], gain[t], loop)
             for i in range(n):
                 for j in range(n):
                     push[i, j] = loop[i, j] - by_state[t, i, j]
-            covariance[t + 1] = process
+            copy_table(covariance[t + 1], process)
             conjugated(loop, covariance[t], covariance[t + 1], moved)
             conjugated(push, noise, covariance[t + 1], moved)
         ahead_hessian = hessian[ticks].copy()
         for t in range(ticks - 1, -1, -1):
             ahead[:] = 0.0
             quadratic(t, expansion, ahead, ahead_hessian, damping, q)
-            factors[:] = q[4]
+            copy_table(factors, q[4])
             factorise(factors, pivot)
             for i in range(n):
                 for j in range(n):
@@ -71,12 +67,12 @@ def quieten(model, weight, cost, bounds, settings, plan, covariance, noise, proc
                     column[j] = q[3][j, i]
                 solve(factors, pivot, column)
                 for j in range(m):
-                    push[j, i] = -column[j]
+                    unaware[j, i] = -column[j]
             for j in range(m):
                 for i in range(n):
-                    row[i] = floor * push[j, i]
+                    row[i] = floor * unaware[j, i]
                     for k in range(n):
-                        row[i] += covariance[t, i, k] * push[j, k]
+                        row[i] += covariance[t, i, k] * unaware[j, k]
                 solve(seen, order, row)
                 for i in range(n):
                     gain[t, j, i] = row[i]

@@ -6,6 +6,14 @@ no gap it is single shooting (iLQR, Li & Todorov 2004).
 
 
 @outer
+def copy_table(to, table):
+    """to = table, entry by entry: an assignment of whole arrays takes seconds to compile."""
+    for i in range(table.shape[0]):
+        for j in range(table.shape[1]):
+            to[i, j] = table[i, j]
+
+
+@outer
 def wrapped(difference, i, lift):
     """A difference of component i; of an angle, the short way round."""
     angle, unit = lift[0], lift[2]
@@ -16,17 +24,20 @@ def wrapped(difference, i, lift):
 
 
 @outer
-def follow(model, weight, cost, bounds, largest, state, raw, gain, feed, gap, step, room, new):
+def follow(model, weight, cost, bounds, largest, plan, feed, gap, step, new):
     """Roll out z = raw + step feed + gain (s - state), within ``largest``; the model's next state
-    less (1 - step) of the gap.  new: tuple (states, raw) to write to.  Returns the cost."""
+    less (1 - step) of the gap.  plan: tuple (state, raw, gain); new: tuple (state, raw) to write
+    to.  Returns the cost."""
+    state, raw, gain = plan
     middle, half = bounds
     ticks, m = raw.shape
     n = state.shape[1]
-    x, none, total = np.zeros(n + m), np.zeros(m), 0.0
-    new_state, new_raw = new
-    new_state[0] = state[0]
+    room, x, none = room_for(n, m, model), np.zeros(n + m), np.zeros(m)
+    total, new_state, new_raw = 0.0, new[0], new[1]
+    for i in range(n):
+        new_state[0, i] = state[0, i]
     for t in range(ticks):
-        x[:n] = new_state[t]
+        place(x, new_state[t])
         for j in range(m):
             z = raw[t, j] + step * feed[t, j]
             for i in range(n):
@@ -38,8 +49,7 @@ def follow(model, weight, cost, bounds, largest, state, raw, gain, feed, gap, st
         tick(x, weight, model, room, new_state[t + 1])
         for i in range(n):
             new_state[t + 1, i] -= (1 - step) * gap[t, i]
-        x[:n] = new_state[t + 1]
-        x[n:] = 0.0
+        place(x, new_state[t + 1])
         total += state_cost(x, t + 1, model, cost, room)
         if not math.isfinite(total):
             return np.inf
@@ -47,13 +57,13 @@ def follow(model, weight, cost, bounds, largest, state, raw, gain, feed, gap, st
 
 
 @outer
-def cost_along(model, cost, state, raw, room):
+def cost_along(model, cost, state, raw):
     """Of these states and raw actions, gaps or not."""
     ticks, m = raw.shape
     n = state.shape[1]
-    x, none, total = np.zeros(n + m), np.zeros(m), 0.0
+    room, x, none, total = room_for(n, m, model), np.zeros(n + m), np.zeros(m), 0.0
     for t in range(ticks):
-        x[:n] = state[t + 1]
+        place(x, state[t + 1])
         total += action_cost(raw[t], none, cost) + state_cost(x, t + 1, model, cost, room)
     return total
 
@@ -163,9 +173,10 @@ def backward(expansion, gap, damping, feed, gain):
             for j in range(n):
                 moved[i] += ahead_hessian[i, j] * gap[t, j]
         quadratic(t, expansion, moved, ahead_hessian, damping, q)
-        factors[:] = q[4]
+        copy_table(factors, q[4])
         factorise(factors, pivot)
-        column[:] = q[1]
+        for j in range(m):
+            column[j] = q[1][j]
         solve(factors, pivot, column)
         for j in range(m):
             feed[t, j] = -column[j]
@@ -188,33 +199,27 @@ def descend(model, weight, cost, bounds, settings, state, raw, gain, gap, per_ga
     least, easier, harder, most, shorter, tries, largest, limit, tolerance = settings
     ticks, m = raw.shape
     n = state.shape[1]
-    room, expansion = room_for(n, m, model), expansion_for(ticks, n, m)
+    expansion = (
+        np.zeros((ticks, n, n)),
+        np.zeros((ticks, n, m)),
+        np.zeros((ticks + 1, n)),
+        np.zeros((ticks + 1, n, n)),
+        np.zeros((ticks, m)),
+        np.zeros((ticks, m)),
+    )
+    plan = state, raw, gain
     feed, new, ignored = np.zeros((ticks, m)), (state.copy(), raw.copy()), gap.copy()
-    total = cost_along(model, cost, state, raw, room) + per_gap * sum_of_gaps(gap)
+    total = cost_along(model, cost, state, raw) + per_gap * sum_of_gaps(gap)
     damping, fresh, count = least, True, 0
     while count < limit and damping <= most and math.isfinite(total):
         if fresh:
-            expand(model, weight, cost, bounds, state, raw, room, expansion, ignored)
+            expand(model, weight, cost, bounds, state, raw, expansion, ignored)
         count += 1
         better, step, fresh = False, 1.0, False
         if backward(expansion, gap, damping, feed, gain):
             open_gaps = per_gap * sum_of_gaps(gap)
             for _ in range(tries):
-                found = follow(
-                    model,
-                    weight,
-                    cost,
-                    bounds,
-                    largest,
-                    state,
-                    raw,
-                    gain,
-                    feed,
-                    gap,
-                    step,
-                    room,
-                    new,
-                )
+                found = follow(model, weight, cost, bounds, largest, plan, feed, gap, step, new)
                 found += (1 - step) * open_gaps
                 if found < total:
                     better = True
@@ -223,8 +228,8 @@ def descend(model, weight, cost, bounds, settings, state, raw, gain, gap, per_ga
         if not better:
             damping *= harder
             continue
-        state[:] = new[0]
-        raw[:] = new[1]
+        copy_table(state, new[0])
+        copy_table(raw, new[1])
         for t in range(ticks):
             for i in range(n):
                 gap[t, i] *= 1 - step
@@ -234,63 +239,15 @@ def descend(model, weight, cost, bounds, settings, state, raw, gain, gap, per_ga
         if done:
             break
     # The gains of the plan are those of its own expansion, lightly damped.
-    expand(model, weight, cost, bounds, state, raw, room, expansion, ignored)
+    expand(model, weight, cost, bounds, state, raw, expansion, ignored)
     if not backward(expansion, gap, least, feed, gain):
         total = np.inf
     return total, count
 
 
 @outer
-def rolled(model, weight, cost, bounds, largest, state, raw, gain):
-    """Close the gaps: the model's own roll-out of a plan, in place.  Returns its cost."""
-    none, closed = np.zeros(raw.shape), np.zeros((len(raw), state.shape[1]))
-    new = (state.copy(), raw.copy())
-    room = room_for(state.shape[1], raw.shape[1], model)
-    total = follow(
-        model, weight, cost, bounds, largest, state, raw, gain, none, closed, 1.0, room, new
-    )
-    state[:] = new[0]
-    raw[:] = new[1]
-    return total
-
-
-@outer
-def shoot(model, weight, cost, bounds, settings, state, raw, gain, value, count):
-    """Single shooting from R starts; value: inf where one came to nothing."""
-    for r in range(len(state)):
-        closed = np.zeros((raw.shape[1], state.shape[2]))
-        largest = settings[6]
-        value[r] = rolled(model, weight, cost, bounds, largest, state[r], raw[r], gain[r])
-        if math.isfinite(value[r]):
-            value[r], count[r] = descend(
-                model, weight, cost, bounds, settings, state[r], raw[r], gain[r], closed, 0.0
-            )
-
-
-@outer
-def connect(model, weight, cost, bounds, settings, per_gap, state, raw, gain, value, count):
-    """Multiple shooting from R sequences of states, then single shooting from what it found."""
-    n, m = state.shape[2], raw.shape[2]
-    room = room_for(n, m, model)
-    for r in range(len(state)):
-        gap = np.zeros((raw.shape[1], n))
-        expansion = expansion_for(raw.shape[1], n, m)
-        expand(model, weight, cost, bounds, state[r], raw[r], room, expansion, gap)
-        value[r], count[r] = descend(
-            model, weight, cost, bounds, settings, state[r], raw[r], gain[r], gap, per_gap
-        )
-        if math.isfinite(value[r]):
-            one, more = slice(r, r + 1), np.zeros(1, np.int64)
-            shoot(
-                model,
-                weight,
-                cost,
-                bounds,
-                settings,
-                state[one],
-                raw[one],
-                gain[one],
-                value[one],
-                more,
-            )
-            count[r] += more[0]
+def rolled(model, weight, cost, bounds, largest, plan, new):
+    """The model's own roll-out of a plan, tuple (state, raw, gain), to ``new``.  Returns its
+    cost."""
+    feed, gap = np.zeros(plan[1].shape), np.zeros((len(plan[1]), plan[0].shape[1]))
+    return follow(model, weight, cost, bounds, largest, plan, feed, gap, 1.0, new)
