@@ -111,13 +111,12 @@ class HeldTip(RowSim):
 
     def _distance(self, xp: Namespace) -> Function:
         """Of the tip from its target, m: from (mechanism's state, seconds, constants)."""
-        joints = xp.jit(self.joints(xp))
+        joints, reference = xp.jit(self.joints(xp)), _reference_over(xp)
 
         @xp.jit
         def distance(s, seconds, c):
             places = joints(s)
-            east = places[-2] - c.amplitude * xp.sin(2 * math.pi * seconds / c.period)
-            up = places[-1] - c.height
+            east, up = places[-2] - reference(seconds, c), places[-1] - c.height
             return xp.sqrt(east * east + up * up)
 
         return distance
@@ -148,6 +147,12 @@ class HeldTip(RowSim):
             start=lambda s, u, c: (*start(s, u, c), 0.0, 1.0, 0.0),
             constants=self.constants,
         )
+
+    def target(self, seconds: Tensor) -> Tensor:
+        """Where the tip is to be ``seconds`` ``[*batch]`` after the start, ``[*batch, 2]``: m right
+        and up."""
+        east = _reference_over(TORCH)(seconds, self.constants)
+        return torch.stack([east, torch.full_like(east, self.constants.height)], -1)
 
     def distance(self, states: Tensor, seconds: Tensor | float = 0.0) -> Tensor:
         """How far the tip is from its target ``seconds`` ``[*batch]`` after the start, m
@@ -186,11 +191,16 @@ class HeldTip(RowSim):
 
         trail, n, c = trail.detach().double(), len(self.mean), self.constants
         places = stacked(self.joints(TORCH)(unstacked(trail)[:n]), trail)
-        seconds = float(trail[-1, n]) * c.dt
+        seconds = trail[-1, n] * c.dt
         return rods(
             places.reshape(len(trail), -1, 2).numpy(),
-            target=(c.amplitude * math.sin(2 * math.pi * seconds / c.period), c.height),
+            target=self.target(seconds).numpy(),
             width=c.width,
             on_rail=self.spec.state[0].name == "position",
-            seconds=seconds,
+            seconds=float(seconds),
         )
+
+
+def _reference_over(xp: Namespace) -> Function:
+    """How far right the target is, m: from (seconds, constants)."""
+    return xp.jit(lambda seconds, c: c.amplitude * xp.sin(2 * math.pi * seconds / c.period))

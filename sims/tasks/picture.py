@@ -13,11 +13,11 @@ WIDTH, HEIGHT = 480, 270
 _FINE = 2
 """Pixels drawn per pixel of the picture, each way."""
 
-_PAPER, _GRID, _LINE, _INK, _SOFT = (
-    *((250, 248, 244), (238, 235, 229), (190, 186, 178)),
-    *((40, 44, 52), (128, 130, 136)),
-)
-_PATH, _GOAL, _GOAL_FILL = (150, 180, 212), (214, 120, 44), (250, 228, 206)
+Colour = tuple[int, int, int]
+
+_PAPER, _GRID, _LINE = (250, 248, 244), (238, 235, 229), (190, 186, 178)
+_INK, _SOFT, _PATH = (40, 44, 52), (128, 130, 136), (150, 180, 212)
+_GOAL, _GOAL_FILL = (214, 120, 44), (250, 228, 206)
 _RODS = ((58, 110, 165), (90, 94, 102))
 _RECENT = 30
 """States whose tips are joined to a path."""
@@ -26,16 +26,17 @@ _RECENT = 30
 def rods(
     places: np.ndarray,
     *,
-    target: tuple[float, float],
+    target: np.ndarray,
     width: float,
     on_rail: bool,
     seconds: float,
 ) -> np.ndarray:
     """RGB picture, uint8 ``[270, 480, 3]``, of the last of ``places`` ``[T, J, 2]``.
 
-    ``places``: of the joints and the tip, m, right and up, the first joint at height 0; ``target``:
-    of the tip, with a disc of radius ``width`` (m) about it; ``on_rail``: whether the first joint
-    is that of a cart on a rail, which the picture then follows; ``seconds``: what the clock shows.
+    ``places``: of the joints and the tip, m, right and up, the first joint at height 0; ``target``
+    ``[2]``: of the tip, with a disc of radius ``width`` (m) about it; ``on_rail``: whether the
+    first joint is that of a cart on a rail, which the picture then follows; ``seconds``: what the
+    clock shows.
     """
     now = places[-1]
     reach = float(np.hypot(*np.diff(now, axis=0).T).sum())
@@ -46,26 +47,24 @@ def rods(
     image = Image.new("RGB", (WIDTH * _FINE, HEIGHT * _FINE), _PAPER)
     draw = ImageDraw.Draw(image)
 
-    def place(point: np.ndarray | tuple[float, float]) -> tuple[float, float]:
+    def place(point: np.ndarray) -> tuple[float, float]:
         return (
             WIDTH * _FINE / 2 + scale * (float(point[0]) - middle),
             HEIGHT * _FINE / 2 - scale * float(point[1]),
         )
 
-    def disc(point: np.ndarray | tuple[float, float], radius: float, colour: object) -> None:
+    def disc(point: np.ndarray, radius: float, colour: Colour) -> None:
         x, y = place(point)
-        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)  # pyright: ignore
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
 
     disc(target, width * scale, _GOAL_FILL)
     disc(target, 5, _GOAL)
     if on_rail:
-        step = 0.5
-        first = np.ceil((middle - half * WIDTH / HEIGHT) / step)
-        for k in range(int(first), int(first + 2 * half * WIDTH / HEIGHT / step) + 1):
-            x = place((k * step, 0.0))[0]
+        across = half * WIDTH / HEIGHT
+        for k in range(math.ceil(2 * (middle - across)), math.floor(2 * (middle + across)) + 1):
+            x, _ = place(np.array([0.5 * k, 0.0]))
             draw.line((x, 0, x, HEIGHT * _FINE), fill=_LINE if k == 0 else _GRID, width=2)
-        y = place((0.0, 0.0))[1]
-        draw.line((0, y, WIDTH * _FINE, y), fill=_LINE, width=4)
+        draw.line((0, HEIGHT * _FINE / 2, WIDTH * _FINE, HEIGHT * _FINE / 2), fill=_LINE, width=4)
     path = [place(point) for point in places[-_RECENT:, -1]]
     if len(path) > 1:
         draw.line(path, fill=_PATH, width=4, joint="curve")
@@ -90,14 +89,20 @@ def wires(
     line on the ground; ``seconds``: what the clock shows.
     """
     scale = HEIGHT * _FINE / 1.9
-    round_, down = math.radians(35), math.radians(18)
-    right = np.array([math.sin(round_), -math.cos(round_), 0.0])
-    up = np.array([math.sin(down) * math.cos(round_), math.sin(down) * math.sin(round_), 0.0])
-    up[2] = math.cos(down)
+    # The axes of the picture: seen from 35 degrees beside straight behind, 18 degrees above.
+    beside, above = math.radians(35), math.radians(18)
+    right = np.array([math.sin(beside), -math.cos(beside), 0.0])
+    up = np.array(
+        [
+            math.sin(above) * math.cos(beside),
+            math.sin(above) * math.sin(beside),
+            math.cos(above),
+        ]
+    )
     image = Image.new("RGB", (WIDTH * _FINE, HEIGHT * _FINE), _PAPER)
     draw = ImageDraw.Draw(image)
 
-    def line(points: np.ndarray, colour: tuple[int, int, int], width: int) -> None:
+    def line(points: np.ndarray, colour: Colour, width: int) -> None:
         seen = points - ground
         x = WIDTH * _FINE / 2 + scale * (seen @ right)
         y = 0.78 * HEIGHT * _FINE - scale * (seen @ up)
@@ -111,7 +116,7 @@ def wires(
     if len(path) > 1:
         line(path, _PATH, 4)
     for k, curve in enumerate(curves):
-        line(curve, (_INK, *_RODS, _GOAL)[k % 4], 6)
+        line(curve, (_INK, *_RODS)[k % 3], 6)
     return _finished(image, draw, seconds)
 
 

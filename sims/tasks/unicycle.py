@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
-from typing import Any
 
 import numpy as np
 import torch
@@ -158,19 +157,15 @@ class Unicycle(RowSim):
         roll, yaw, wheel, pitch, disc = states[-1, 0:10:2]
         # The axes of the plane of the wheel: forward, along the axle to the left, up.
         x = np.array([math.cos(yaw), math.sin(yaw), 0.0])
-        left = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
-        y, z = (
-            math.cos(roll) * left - math.sin(roll) * np.array([0.0, 0.0, 1.0]),
-            math.sin(roll) * left + math.cos(roll) * np.array([0.0, 0.0, 1.0]),
-        )
-        forward, pole = (
-            math.cos(pitch) * x - math.sin(pitch) * z,
-            math.sin(pitch) * x + math.cos(pitch) * z,
-        )
+        left, above = np.array([-x[1], x[0], 0.0]), np.array([0.0, 0.0, 1.0])
+        y = math.cos(roll) * left - math.sin(roll) * above
+        z = math.sin(roll) * left + math.cos(roll) * above
+        forward = math.cos(pitch) * x - math.sin(pitch) * z
+        pole = math.sin(pitch) * x + math.cos(pitch) * z
         hub = path[-1] + RADIUS * z
         top = hub + TO_DISC * pole
 
-        def circle(centre: Any, a: Any, b: Any, turned: float) -> np.ndarray:
+        def circle(centre: np.ndarray, a: np.ndarray, b: np.ndarray, turned: float) -> np.ndarray:
             """With a spoke that shows how far it has turned from a to b."""
             angles = turned + np.linspace(0, 2 * math.pi, 37)[:, None]
             rim = centre + RADIUS * (np.cos(angles) * a + np.sin(angles) * b)

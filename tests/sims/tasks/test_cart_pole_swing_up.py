@@ -39,6 +39,8 @@ def test_the_target_moves() -> None:
     seconds = torch.linspace(0, 10, 101).double()
     upright = torch.zeros(101, 4).double()
     upright[:, 0] = 0.5 * torch.sin(2 * math.pi * seconds / 4)
+    torch.testing.assert_close(sim.target(seconds)[:, 0], upright[:, 0])
+    assert sim.target(seconds)[:, 1].tolist() == [0.5] * 101
     torch.testing.assert_close(sim.distance(upright, seconds), torch.zeros(101).double())
     assert bool(sim.judge(upright))
     upright[45, 0] += 0.26
