@@ -97,29 +97,27 @@ class CartDoublePendulumEnv(HeldTipEnv):
 class UnicycleEnv(SimEnv):
     """Keep a robotic unicycle upright for ten seconds: ``sims.tasks.unicycle.Unicycle``.
 
-    Angles are read with normal errors of standard deviation ``angle_noise`` (rad), rates with
-    ``rate_noise`` (rad/s); the defaults are PILCO's.
+    Each component is read with a normal error of standard deviation ``noise`` (PILCO's unicycle has
+    0.01 for rates and 0.003 for angles).
 
     The reward of a step is *r = exp(-d^2 / 2)*, d (m) the distance of the disc from where it is in
     an upright unicycle on the same point of the ground, by the reading that the step returns.
 
     A fall terminates an episode (info ``outcome`` FAILED), the time limit truncates it (SUCCEEDED).
 
-    Arguments: ``angle_noise``, ``rate_noise``, ``render_mode`` (None, "rgb_array"), and those of
-    the simulator by name.
+    Arguments: ``noise``, ``render_mode`` (None, "rgb_array"), and those of the simulator by name.
     """
 
     def __init__(
         self,
         *,
-        angle_noise: float = 0.003,
-        rate_noise: float = 0.01,
+        noise: float = 0.01,
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
         """The unicycle, with ``arguments`` of its own, seen through sensors."""
         sim = Unicycle(**arguments)
-        deviations = {q.name: rate_noise if q.rate_of else angle_noise for q in sim.spec.state}
+        deviations = {quantity.name: noise for quantity in sim.spec.state}
         roll, pitch = spec_index(sim.spec, ("roll", "pitch"))
         super().__init__(Sensed(sim, deviations), _Height(roll, pitch), render_mode=render_mode)
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.func import grad, hessian, jacrev, jvp, vmap
 
-from sims.base import JudgesStates, Outcome, Pictured
+from sims.base import JudgesStates, Outcome, Pictured, spec_index
 from sims.conformance import check
 from sims.rows import TORCH
 from sims.sensing import Sensed
@@ -278,3 +278,37 @@ def test_pictures() -> None:
     # Less of it is high up.
     high = [(sim.frame(part)[60:120].sum(-1) < 500).sum() for part in (trail[:1], fallen)]
     assert high[1] < high[0]
+
+
+@pytest.mark.oracle
+def test_a_regulator_about_a_cruise_rides_for_ten_seconds() -> None:
+    sim = Unicycle()
+    sensed = Sensed(sim, {quantity.name: 0.01 for quantity in sim.spec.state})
+    # The disc's rate is left out: at rest nothing changes the angular momentum about the vertical.
+    names = ("roll", "roll_rate", "yaw_rate", "wheel_rate", "pitch", "pitch_rate")
+    index = spec_index(sim.spec, names)
+    cruise = torch.zeros(16).double()
+    cruise[5] = 1.0 / of.RADIUS
+    none = torch.zeros(0).double()
+    slope = jacrev(lambda x: sim.observe(sim.step(x[:14], x[14:], none))[index])(cruise)
+    a, b = slope[:, index], slope[:, 14:]
+    price = torch.tensor([10, 0.1, 0.1, 0.01, 10, 0.1], dtype=torch.float64).diag()
+    effort = torch.tensor([10.0**-2, 50.0**-2], dtype=torch.float64).diag()
+    ahead, gain = price, torch.zeros(2, 6).double()
+    for _ in range(300):  # of Riccati's recursion
+        gain = torch.linalg.solve(effort + b.mT @ ahead @ b, b.mT @ ahead @ a)
+        ahead = price + a.mT @ ahead @ (a - b @ gain)
+    generator = torch.Generator().manual_seed(0)
+
+    def uniforms(count: int) -> Tensor:
+        return torch.rand(50, count, generator=generator, dtype=torch.float64)
+
+    states = [sensed.initial(uniforms(sensed.spec.reset_dim))]
+    high = torch.tensor([10.0, 50.0]).double()
+    for _ in range(67):
+        error = sensed.observe(states[-1])[:, index] - cruise[index]
+        action = (-error @ gain.mT).clamp(-high, high)
+        states.append(sensed.step(states[-1], action, uniforms(sensed.spec.disturbance_dim)))
+    assert float((sensed.outcome(states[-1]) == int(Outcome.SUCCEEDED)).double().mean()) > 0.95
+    found = sensed.measures(states[0], states[-1], torch.full((50,), 10.05).double())
+    assert 5 < float(found["distance_m"].mean()) < 10
