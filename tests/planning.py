@@ -36,18 +36,20 @@ def swing_up_cost(model: TickModel, ticks: int = 40, power: float = 4.0) -> Cost
     return Cost(np.tile(rows, (ticks + 1, 1, 1)), ramp(ticks, power), np.array([0.05]))
 
 
-def oscillator(dt: float = 0.1, force: float = 1e3) -> TickModel:
-    """An unstable mass, x'' = 2 x - .3 x' + u, whose bound ``force`` is far beyond its actions."""
-    names = ("1", "x", "v", "u")
+def oscillator(push: tuple[float, ...] = (1.0,), dt: float = 0.1) -> TickModel:
+    """An unstable mass, x'' = 2 x - .3 x' + push . u, with bounds of u far beyond what is used."""
+    m = len(push)
+    names = ("1", "x", "v", *(f"u{j}" for j in range(m)))
     lift = Lift(np.zeros(2, bool), np.array([1, 2]), np.ones(2), 3, names)
-    terms = Terms(np.array([[1], [2], [3]]), np.full(3, -1))
+    terms = Terms(1 + np.arange(2 + m)[:, None], np.full(2 + m, -1))
     structure = Structure(lift, terms, np.array([1]), np.array([1, -1]), np.array([1.0, 0.0]))
-    return TickModel(structure, np.array([[2.0, -0.3, 1.0]]), dt, np.zeros(1), np.array([force]))
+    weight = np.array([[2.0, -0.3, *push]])
+    return TickModel(structure, weight, dt, np.zeros(m), np.full(m, 1e3))
 
 
 def oscillator_cost(model: TickModel, ticks: int = 30) -> Cost:
-    """x^2 + .1 v^2 + .2 u^2."""
-    rows = np.zeros((ticks + 1, 2, 4))
+    """x^2 + .1 v^2 + .2 |u|^2."""
+    rows = np.zeros((ticks + 1, 2, 3 + len(model.half)))
     rows[:, 0, 1], rows[:, 1, 2] = 1.0, math.sqrt(0.1)
     return Cost(rows, np.ones(ticks + 1), 0.2 * model.half**2, 0.0)
 

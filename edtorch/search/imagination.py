@@ -12,7 +12,7 @@ from edtorch.search.shooting import planning_problem
 from edtorch.search.tick_model import TickModel, real
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Imagined:
     """state ``[P, H + 1, n]``, nan after a roll-out ceased to be finite; cost ``[P]``, inf there;
     finite ``[P]``."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cost:
     """The cost of a trajectory of H ticks, with A the lift of a state (``edtorch.model.lift``):
 
@@ -34,7 +34,7 @@ class Cost:
         return Cost(self.rows[span], self.weight[span], self.action, self.squash)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plan:
     """A trajectory with the gains that hold it: the action at tick t in state s is
 

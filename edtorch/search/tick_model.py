@@ -10,7 +10,7 @@ import numpy as np
 from edtorch.model.mechanism import Structure
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TickModel:
     """A mechanism model with its weights, and the actions it is given.
 

@@ -29,29 +29,32 @@ from tests.planning import (
 
 
 def riccati(model: TickModel, cost: Cost) -> tuple[np.ndarray, np.ndarray]:
-    """Cost to go ``[2, 2]`` at the start, and gains ``[H, 1, 2]`` of the force."""
-    _, by = tick_once(model, model.weight, np.zeros(2), np.zeros(1))
+    """Cost to go ``[2, 2]`` at the start, and gains ``[H, m, 2]`` of the forces."""
+    _, by = tick_once(model, model.weight, np.zeros(2), np.zeros(len(model.half)))
     a, b = by[:, :2], by[:, 2:]
-    force = cost.action / model.half**2
     ahead, gains = np.zeros((2, 2)), []
     for t in range(cost.ticks, 0, -1):
         row = cost.rows[t][:, 1:3]
         ahead = ahead + cost.weight[t] * row.T @ row
-        gain = -np.linalg.solve(b.T @ ahead @ b + force, b.T @ ahead @ a)
+        effort = b.T @ ahead @ b + np.diag(cost.action / model.half**2)
+        gain = -np.linalg.solve(effort, b.T @ ahead @ a)
         gains.append(gain)
         ahead = a.T @ ahead @ (a + b @ gain)
     return ahead, np.array(gains[::-1])
 
 
+@pytest.mark.parametrize("push", [(1.0,), (1.0, -0.4, 0.2)])
 @pytest.mark.parametrize("search", [shoot, connect])
-def test_on_a_linear_system_a_plan_is_riccatis(search: Callable[..., Found]) -> None:
-    model, start = oscillator(), np.array([0.4, -0.2])
+def test_on_a_linear_system_a_plan_is_riccatis(
+    search: Callable[..., Found], push: tuple[float, ...]
+) -> None:
+    model, start, m = oscillator(push), np.array([0.4, -0.2]), len(push)
     cost = oscillator_cost(model)
     exact = Descent(damping=1e-6, tolerance=1e-14)
-    (plan,) = search(model, cost, [still(start, np.zeros((30, 1)))], exact).plans
+    (plan,) = search(model, cost, [still(start, np.zeros((30, m)))], exact).plans
     ahead, gains = riccati(model, cost)
     assert plan.cost == pytest.approx(start @ ahead @ start, rel=1e-6)
-    np.testing.assert_allclose(model.half * plan.gain, gains, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(model.half[:, None] * plan.gain, gains, rtol=1e-5, atol=1e-6)
     actions = model.half * np.tanh(plan.raw)
     expected = (gains @ plan.state[:-1, :, None])[..., 0]
     np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=1e-6)
