@@ -1,0 +1,28 @@
+"""Bounds of actions that a policy keeps by a smooth function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Squash:
+    """u = middle + half tanh(z), ``[*batch, m]``; middle, half ``[m]``: of the range of the
+    actions, scaled."""
+
+    middle: Tensor
+    half: Tensor
+
+    def __call__(self, raw: Tensor) -> Tensor:
+        """The action of a raw one."""
+        return self.middle + self.half * torch.tanh(raw)
+
+
+def wrapped(difference: Tensor, period: Tensor) -> Tensor:
+    """Differences of states ``[*batch, n]``, those of angles within half a turn; period ``[n]``: of
+    each component, 0 for what does not wrap."""
+    turns = torch.round(difference / torch.where(period > 0, period, torch.inf))
+    return difference - period * turns

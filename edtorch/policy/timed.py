@@ -1,0 +1,52 @@
+"""A policy that follows a plan: linear in the deviation from it, different at every tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from edtorch.linalg import matvec
+from edtorch.policy.squash import Squash, wrapped
+from edtorch.types import Parameters
+
+
+class TimedPolicy:
+    """pi(s, t) = squash(z_t + K_t (s - s_t)), the plan being s_t, z_t and K_t.
+
+    parameters: ``state`` ``[B, H + 1, n]``, ``raw`` z ``[B, H, m]``, ``gain`` K ``[B, H, m, n]``,
+    scaled.  It takes states with the number of the tick appended ``[*more, B, n + 1]``
+    (``edtorch.learner.clock.Clock``); after the horizon the last gain stays.  period ``[n]``: of
+    angles, see ``edtorch.policy.squash.wrapped``.
+    """
+
+    label = "TimedPolicy"
+
+    def __init__(self, horizon: int, squash: Squash, period: Tensor) -> None:
+        if horizon < 1:
+            raise ValueError(f"horizon={horizon}: expected at least one tick")
+        self.horizon = horizon
+        self.squash = squash
+        self.period = period
+
+    def initial(self, seeds: Sequence[int]) -> Parameters:
+        """A plan that stays at zero without any action, one for each seed."""
+        B, H = len(seeds), self.horizon
+        n, m = len(self.period), len(self.squash.half)
+        like = self.period
+        return {
+            "state": like.new_zeros(B, H + 1, n),
+            "raw": like.new_zeros(B, H, m),
+            "gain": like.new_zeros(B, H, m, n),
+        }
+
+    def action(self, parameters: Parameters, state: Tensor, /) -> Tensor:
+        """``[*more, B, n + 1] -> [*more, B, m]``."""
+        state, ticks = state[..., :-1], state[..., -1]
+        tick = ticks.long().clamp(0, self.horizon - 1)
+        row = torch.arange(tick.shape[-1], device=tick.device).expand_as(tick)
+        away = wrapped(state - parameters["state"][row, tick], self.period)
+        return self.squash(
+            parameters["raw"][row, tick] + matvec(parameters["gain"][row, tick], away)
+        )
