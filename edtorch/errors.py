@@ -27,5 +27,9 @@ class FitError(ValueError):
     """Data from which no model can be fitted."""
 
 
+class NoPlan(ValueError):
+    """No start led to a plan whose numbers are finite."""
+
+
 class CovarianceFloored(UserWarning):
     """A covariance lost its positive semidefiniteness on the way and was floored from there on."""

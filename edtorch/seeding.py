@@ -21,6 +21,16 @@ class Purpose(IntEnum):
     """The first parameters of a policy."""
     MODEL = 4
     """The first parameters of a model."""
+    TRIAL = 5
+    """The trials of a search, one episode each."""
+    PLAN = 6
+    """Where plans start from, by trial."""
+    POSTERIOR = 7
+    """Drawn models, by trial."""
+    STARTS = 8
+    """Starts that are only looked at."""
+    SOLVED = 9
+    """Whether a policy has solved its task."""
 
 
 def stream_key(seed: int, purpose: Purpose, episode: int = 0) -> tuple[int, int]:

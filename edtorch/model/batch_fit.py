@@ -1,0 +1,81 @@
+"""A mechanism model from all transitions so far, as a configuration names its fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+from torch import Tensor
+
+from edtorch.model.evidence import Evidence, Posterior, ard, ridge
+from edtorch.model.held_out import choose_model
+from edtorch.model.mechanism import Structure, runge_kutta
+from edtorch.model.path_fit import fit_paths, usable
+from edtorch.types import Transition
+
+PRIORS: Mapping[str, Evidence] = {"ard": ard, "ridge": ridge}
+
+
+@dataclass(frozen=True)
+class Learned:
+    """name: of the structure; reading_noise ``[n]``: standard deviations of the errors of readings,
+    scaled, from what is left of the changes in a tick; error: root of the mean square of those, in
+    all components; count: transitions used; notes: for people."""
+
+    name: str
+    posterior: Posterior
+    reading_noise: Tensor
+    error: float
+    count: int
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PathFit:
+    """``edtorch.model.path_fit.fit_paths`` with ``passes`` regressions; prior: ``ard``, a precision
+    for each weight, or ``ridge``, one for all of an output."""
+
+    passes: int = 4
+    prior: Literal["ard", "ridge"] = "ard"
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings."""
+        if self.passes < 1:
+            raise ValueError(f"passes={self.passes}: expected an integer >= 1")
+        if self.prior not in PRIORS:
+            raise ValueError(f"prior={self.prior}: expected one of {', '.join(PRIORS)}")
+
+    def learn(
+        self, structures: Mapping[str, Structure], transition: Transition, episode: Tensor
+    ) -> Learned:
+        """The posterior of the structure that predicts held-out data best, from rows in order of
+        time and the number ``[N]`` of the episode of each.
+
+        Errors as of ``edtorch.model.held_out.choose_model``.
+        """
+        fit = partial(fit_paths, passes=self.passes, evidence=PRIORS[self.prior])
+        choice = choose_model(structures, transition, episode, fit=fit)
+        posterior = choice.posterior
+        left = one_tick_errors(choice.structure, posterior.weight, transition)
+        # Of two readings each, so that a difference has twice the variance of an error; the median
+        # of |x| is .674 of a normal standard deviation.
+        noise = 1.483 * left.abs().median(0).values / 2**0.5
+        error = float(left.square().mean().sqrt())
+        notes = [choice.words] if len(structures) > 1 else []
+        if not choice.better_than_constant:
+            notes.append(
+                f"{choice.words}: no better than a constant; more random exploration may help"
+                " (search.random, a longer trial)"
+            )
+        return Learned(choice.name, posterior, noise, error, len(left), tuple(notes))
+
+
+def one_tick_errors(structure: Structure, weight: Tensor, transition: Transition) -> Tensor:
+    """Readings less predictions from the readings a tick before, ``[N, n]``, of valid rows; finite
+    ones only."""
+    data = usable(transition)
+    predicted = runge_kutta(structure, weight, data.state, data.action, data.dt)
+    left = structure.difference(data.next_state, predicted)
+    return left[left.isfinite().all(-1)]

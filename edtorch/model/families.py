@@ -1,0 +1,61 @@
+"""Families of mechanism models, as a configuration names them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from edtorch.model.lift import Lift
+from edtorch.model.mechanism import Structure
+from edtorch.model.terms import Terms
+from edtorch.model.told import Told
+
+
+@dataclass(frozen=True)
+class Implicit:
+    """Each acceleration linear in the others: the equations of a mechanism (``Terms.implicit``)."""
+
+    degree: int = 2
+
+    def structures(self, told: Told) -> dict[str, Structure]:
+        """The one structure, by name."""
+        lift = Lift.of(told)
+        return {"implicit": Structure.of(told, lift, Terms.implicit(told, lift, self.degree))}
+
+
+@dataclass(frozen=True)
+class Products:
+    """Accelerations by products of trigonometric terms, rates and actions (``Terms.products``)."""
+
+    degree: int = 3
+
+    def structures(self, told: Told) -> dict[str, Structure]:
+        """The one structure, by name."""
+        lift = Lift.of(told)
+        return {"products": Structure.of(told, lift, Terms.products(told, lift, self.degree))}
+
+
+@dataclass(frozen=True)
+class Monomials:
+    """Accelerations by all monomials of the lift (``Terms.monomials``): no mechanism is told."""
+
+    degree: int = 4
+
+    def structures(self, told: Told) -> dict[str, Structure]:
+        """The one structure, by name."""
+        lift = Lift.of(told)
+        return {"monomials": Structure.of(told, lift, Terms.monomials(told, lift, self.degree))}
+
+
+@dataclass(frozen=True)
+class Auto:
+    """The family that predicts held-out data best, of all of them (``edtorch.model.held_out``)."""
+
+    implicit: Implicit = Implicit()
+    products: Products = Products()
+    monomials: Monomials = Monomials()
+
+    def structures(self, told: Told) -> dict[str, Structure]:
+        """All of them by name, those with fewer terms first."""
+        families = (self.implicit, self.products, self.monomials)
+        found = {n: s for family in families for n, s in family.structures(told).items()}
+        return dict(sorted(found.items(), key=lambda item: item[1].terms.count))

@@ -1,0 +1,87 @@
+"""What a search between trials is given of its task."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from torch import Tensor
+
+from edtorch.learner.observer import Memory
+from edtorch.model.batch_fit import Learned
+from edtorch.model.mechanism import Structure
+from edtorch.policy.policies import Policy
+from edtorch.search.knowledge import Knowledge
+from edtorch.types import Parameters, Transition
+
+
+@dataclass(frozen=True)
+class Problem:
+    """All in scaled units.
+
+    structures: models to choose from, by name, the simpler first; learn: the best of them
+    from transitions and the trial of each; rows ``[H + 1, r, A]`` and action
+    ``[m]``: as of ``edtorch.search.plan.Cost``; middle, half ``[m]``: of the range of the actions;
+    period ``[n]``: of angles, else 0; dt: s; starts: of a seed to readings ``[k, n]`` of starts;
+    judge: of true states ``[*batch, H + 1, n]`` to whether the task would be done, bool
+    ``[*batch]``, None where nobody says; noise ``[n]``: standard deviations of readings where they
+    are told; goal ``[n]``: the state that the last rows want.
+    """
+
+    structures: Mapping[str, Structure]
+    learn: Callable[[Transition, Tensor], Learned]
+    rows: np.ndarray
+    action: np.ndarray
+    middle: Tensor
+    half: Tensor
+    period: Tensor
+    dt: float
+    starts: Callable[[int], Tensor]
+    judge: Callable[[Tensor], Tensor] | None
+    noise: Tensor | None
+    goal: Tensor
+
+    @property
+    def ticks(self) -> int:
+        """H, the horizon."""
+        return len(self.rows) - 1
+
+
+Left = Callable[[int, Tensor], Tensor]
+"""(tick, readings ``[B, n]``) to whether each trial is to be given up, bool ``[B]``."""
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """What is learned from a trial: parameters of the policy, without a population axis; the
+    knowledge with its plan; figures by name, for ``metrics.csv``; notes: lines for people."""
+
+    parameters: Parameters
+    knowledge: Knowledge
+    figures: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+
+class TrialSearch(Protocol):
+    """A search that acts for a trial at a time.
+
+    random: seconds of the first trial, with random actions; None: as long as any.  figures: names
+    of those of an ``Improvement``.
+    """
+
+    random: float | None
+    figures: tuple[str, ...]
+
+    def policy(self, problem: Problem) -> tuple[Policy, Memory | None]:
+        """Who acts by the parameters of an improvement, and what goes with it."""
+        ...
+
+    def left(self, problem: Problem, parameters: Parameters) -> Left | None:
+        """When a trial by these parameters ``[B, ...]`` is to be given up; None: never."""
+        ...
+
+    def improve(self, problem: Problem, knowledge: Knowledge, seed: int, trial: int) -> Improvement:
+        """A policy from all trials so far; trial: the number of the next one."""
+        ...
