@@ -202,6 +202,25 @@ class NoRivalGroup:
 
 
 @dataclass(frozen=True)
+class OnlineGroup:
+    """The learner improves its policy at its ticks, and no search between trials does."""
+
+    _target_: str | None = None
+
+
+@dataclass(frozen=True)
+class ToldGroup:
+    """What is told of the components of the state, by name, beside what the domain tells, for a
+    search between trials: see ``edtorch.model.told.Told``."""
+
+    angles: Sequence[str] = ()
+    rates: Mapping[str, str] = _empty()
+    constant: Sequence[str] = ()
+    ignored: Sequence[str] = ()
+    invariant: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
 class TrainGroup:
     """Per learner, whichever ends first; null: unlimited.  until: of a rival, the milestone at
     which a seed is done as well, stable or goal (``edtorch.run.milestones``)."""
@@ -224,6 +243,7 @@ class EvalGroup:
     minutes: Sequence[float] = ()
     domain: Mapping[str, Any] = _empty()
     success_return: float | None = None
+    solved: Mapping[str, float] = _empty()
 
 
 @dataclass(frozen=True)
@@ -298,6 +318,8 @@ UNTARGETED: dict[str, tuple[type, ...]] = {
     "observation": (ObservationGroup,),
     "command": (FreeGroup, RampGroup, SafeGroup),
     "rival": (NoRivalGroup,),
+    "search": (OnlineGroup,),
+    "told": (ToldGroup,),
     "offline": (NoOfflineGroup, RecordedGroup),
     "train": (TrainGroup,),
     "eval": (EvalGroup,),

@@ -34,6 +34,11 @@ def build_model(config: Any, world: World, dtype: torch.dtype, seed: int) -> Mod
         "spec": world.spec,
         "dtype": dtype,
     }
+    if hasattr(target_class("model", config), "structures"):
+        raise ConfigError(
+            f"model._target_={config._target_}: expected search=planned, or model=derivative or"
+            " next_state for a learner that improves its policy while it acts"
+        )
     if accepts(target_class("model", config), "features"):
         more["features"], rest = features_of("model", config, n + m, world.spec, seed)
     else:
@@ -54,6 +59,8 @@ def build_fit(config: Settings, world: World, model: Model) -> AnyFit:
     """The estimator of the model's parameters, from the group ``fit``."""
     deviations = build_deviations(config.observation, world)
     offered = target_class("fit", config.fit)
+    if hasattr(offered, "learn"):
+        raise ConfigError(f"fit._target_={config.fit._target_}: expected search=planned")
     methods = FITS[1] if getattr(offered, "fits_parameters", False) else FITS[0]
     more: dict[str, Any] = {"model": model, "deviations": deviations, "states": model.states}
     if accepts(offered, "target"):

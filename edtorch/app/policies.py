@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from edtorch.app.build_planned import build_problem, is_planned
 from edtorch.app.domain import build_sim, changed_domain
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.policy import build_actor, build_frozen_observer, policy_card
@@ -17,7 +18,7 @@ from edtorch.app.reward import build_reward
 from edtorch.app.rivals import build_rival, rival_card
 from edtorch.app.settings import Settings
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import Observer
+from edtorch.learner.observer import Memory
 from edtorch.rivals.base import Storing
 from edtorch.run.files import FileProblem
 from edtorch.run.policy_file import load_policy, policy_dtype, saved_seeds
@@ -33,7 +34,7 @@ class Policies:
     actor: Actor
     parameters: Parameters
     seeds: list[int]
-    observer: Observer | None = None
+    observer: Memory | None = None
 
 
 def acting_dtype(config: Settings, path: Path) -> torch.dtype:
@@ -67,6 +68,8 @@ def stored_policies(config: Settings, path: Path, world: World) -> Policies:
     """
     if is_rival(config) and not is_search(config):
         return _of_rival(config, path, world)
+    if is_planned(config):
+        return _of_search(config, path, world)
     actor, shapes = build_actor(config, world)
     # A search has one seed and any number of policies, which have numbers instead.
     one_each = not is_rival(config)
@@ -76,6 +79,16 @@ def stored_policies(config: Settings, path: Path, world: World) -> Policies:
     card = policy_card(world.sim, actor, seeds)
     observer = build_frozen_observer(config, world)
     return Policies(actor, load_policy(path, card, shapes), seeds, observer)
+
+
+def _of_search(config: Settings, path: Path, world: World) -> Policies:
+    """Of a search between trials."""
+    search, problem, _ = build_problem(config, world)
+    actor, memory = search.policy(problem)
+    seeds = [config.seed + k for k in range(config.seeds)]
+    shapes = {name: tuple(p.shape[1:]) for name, p in actor.initial([0]).items()}
+    card = policy_card(world.sim, actor, seeds)
+    return Policies(actor, load_policy(path, card, shapes), seeds, memory)
 
 
 def _of_rival(config: Settings, path: Path, world: World) -> Policies:

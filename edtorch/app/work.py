@@ -14,6 +14,7 @@ import torch
 from rich.console import Console
 
 from edtorch.app.build import build
+from edtorch.app.build_planned import build_planned, is_planned
 from edtorch.app.checkpoints import SavedJob, cut, warn_of
 from edtorch.app.checks import at_least
 from edtorch.app.errors import ConfigError
@@ -21,6 +22,7 @@ from edtorch.app.job import Job, Work
 from edtorch.app.learners import Learners
 from edtorch.app.offline import RecordedLearners, build_offline, is_offline
 from edtorch.app.outputs import Keeper, open_sinks, save_learned, save_results
+from edtorch.app.planned import PlannedLearners
 from edtorch.app.random_search import RandomPolicies, build_search, is_rival, is_search
 from edtorch.app.rivals import Rivals, build_rival
 from edtorch.app.rundir import INTERRUPTED, PART, RunFolder
@@ -44,6 +46,14 @@ def planned(config: Settings) -> tuple[list[int], Begin]:
     if is_offline(config):
         offline = build_offline(config)
         return offline.setup.seeds, lambda folder: RecordedLearners(offline, config)
+    if is_planned(config):
+        if is_rival(config):
+            raise ConfigError(
+                f"rival={config.rival._target_}, search={config.search._target_}: expected one of"
+                " the two"
+            )
+        planned_setup = build_planned(config)
+        return planned_setup.seeds, lambda folder: PlannedLearners(planned_setup)
     if is_rival(config) and config.log.transitions:
         raise ConfigError("log.transitions=true: expected false with a rival, which keeps none")
     if is_rival(config) and is_search(config):

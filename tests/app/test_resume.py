@@ -41,6 +41,10 @@ KINDS = {
     "compiled": (*BICYCLE, "eval.minutes=[0.1]"),
     "recorded": (*BICYCLE, "log.transitions=true"),
     "Gymnasium": PENDULUM,
+    "planned": (
+        *("experiment=pendulum_swingup", "seeds=2", "train.episodes=4", "eval.episodes=5"),
+        *("+eval.solved.mean_return=1000", "search.starts=2", "search.draws=10", *QUIET),
+    ),
     "rival": (
         *("experiment=bicycle_adaptive_lqr", "seeds=1", "train.seconds=12", "rival.piece=2"),
         *("train.until=null", "eval.episodes=1", "domain.time_limit=10", *QUIET),

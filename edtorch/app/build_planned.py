@@ -1,0 +1,234 @@
+"""From a composed configuration to a search between trials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from edtorch.app.budget import check_ticks, given_budget
+from edtorch.app.checks import at_least, check_numbers, check_seeds, positive
+from edtorch.app.compute import device_of, evaluation_mode
+from edtorch.app.construct import construct
+from edtorch.app.domain import build_sim, changed_domain
+from edtorch.app.errors import ConfigError, under
+from edtorch.app.observation import build_deviations
+from edtorch.app.policy import policy_card
+from edtorch.app.reward import build_reward
+from edtorch.app.settings import Settings
+from edtorch.model.told import Told
+from edtorch.native.choice import Mode
+from edtorch.native.program import Unavailable, numba
+from edtorch.rewards.squares import squares_of
+from edtorch.run.episodes import Budget
+from edtorch.run.policy_file import PolicyCard
+from edtorch.run.scaled_sim import World
+from edtorch.run.trial import look_at_starts
+from edtorch.search.problem import Problem, TrialSearch
+from edtorch.search.target import wanted_state
+from edtorch.types import Parameters
+from sims.base import JudgesStates
+
+STARTS = 100
+"""Starts that are looked at, to plan from their mean and to imagine from them."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """When a task counts as solved: a share ``rate`` of successes, or a ``mean_return``, of at
+    least so much in fresh episodes; None: not asked."""
+
+    rate: float | None
+    mean_return: float | None
+    episodes: int
+
+    @property
+    def asked(self) -> bool:
+        """Whether anything is asked."""
+        return self.rate is not None or self.mean_return is not None
+
+    def holds(self, rate: float, mean_return: float) -> bool:
+        """Whether it does."""
+        good = self.rate is None or rate >= self.rate
+        return self.asked and good and (self.mean_return is None or mean_return >= self.mean_return)
+
+
+@dataclass(frozen=True)
+class PlannedSetup:
+    """Everything that a search between trials is made of.
+
+    ticks: of a trial; trials: at most, None for any number; calm: a new world to evaluate in;
+    initial: parameters ``[S, ...]`` before the first improvement; told: in words.
+    """
+
+    name: str
+    search: TrialSearch
+    problem: Problem
+    world: World
+    calm: Callable[[], World]
+    seeds: list[int]
+    budget: Budget
+    solved: Solved
+    ticks: int
+    trials: int | None
+    initial: Parameters
+    card: PolicyCard
+    told: str
+    episodes: int
+    native: Mode
+    threads: int
+
+    def length(self, number: int) -> float:
+        """Seconds of a trial at most, by its number."""
+        whole = self.ticks * self.world.dt
+        first = self.search.random
+        return whole if number or first is None else min(first, whole)
+
+
+def is_planned(config: Settings) -> bool:
+    """Whether policies come from a search between trials, and not from the learner."""
+    return config.search.get("_target_") is not None
+
+
+def build_told(config: Settings, world: World) -> Told:
+    """What is told of the state: by the domain, and by names under ``told``."""
+    told = config.told
+    with under("told"):
+        return Told.of(
+            world.spec,
+            angles=told.angles,
+            rates=told.rates,
+            constant=told.constant,
+            ignored=told.ignored,
+            invariant=told.invariant,
+        )
+
+
+def build_problem(config: Settings, world: World) -> tuple[TrialSearch, Problem, Told]:
+    """The search and its problem in a world.  Raises ConfigError, which names the key."""
+    told = build_told(config, world)
+    search = construct("search", config.search, "improve", "policy")
+    model = construct("model", config.model, "structures")
+    fit = construct("fit", config.fit, "learn")
+    with under("model"):
+        structures = model.structures(told)
+    ticks = world.limit_ticks
+    lift = next(iter(structures.values())).lift
+    if world.reward is None:
+        raise ConfigError("reward: expected one to plan with")
+    with under("reward"):
+        rows, action = squares_of(world.reward, lift)
+    noise = build_deviations(config.observation, world) if config.observation.noise else None
+    problem = Problem(
+        structures=structures,
+        learn=lambda transitions, trial: fit.learn(structures, transitions, trial),
+        rows=np.broadcast_to(rows.numpy(), (ticks + 1, *rows.shape)),
+        action=(action * world.action_half_range**2).numpy(),
+        middle=world.action_middle,
+        half=world.action_half_range,
+        period=world.period,
+        dt=world.dt,
+        starts=lambda seed: look_at_starts(world, seed, STARTS),
+        judge=_judge(world),
+        noise=noise,
+        goal=wanted_state(lift, rows.numpy()),
+    )
+    return search, problem, told
+
+
+def _judge(world: World) -> Callable[[Tensor], Tensor] | None:
+    """Judges true states ``[*batch, T + 1, n]``, scaled; None where the domain does not."""
+    sim = world.sim
+    if not isinstance(sim, JudgesStates):
+        return None
+    scale = torch.tensor([q.scale for q in world.spec.state], dtype=torch.float64)
+    return lambda states: sim.judge(states * scale)
+
+
+def build_planned(config: Settings) -> PlannedSetup:
+    """Objects for a search between trials.  Raises ConfigError, which names the key."""
+    _check(config)
+    with under("search"):
+        try:
+            numba()
+        except Unavailable as error:
+            raise ConfigError(f"search={_name(config)}: its plans are compiled; {error}") from error
+    sim = build_sim(config.domain)
+    evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
+    reward = build_reward(config.reward, sim, torch.float64)
+
+    def world_of(sim: Any) -> World:
+        return World(sim, torch.float64, None, None, reward, config.eval.success_return)
+
+    world = world_of(sim)
+    search, problem, told = build_problem(config, world)
+    seeds = [config.seed + k for k in range(config.seeds)]
+    actor, _ = search.policy(problem)
+    budget = given_budget(config.train) or Budget(episodes=10)
+    check_ticks(budget, world.dt)
+    first = min(world.limit_ticks * world.dt, search.random or math.inf)
+    if budget.seconds is not None and budget.seconds < first - 1e-9:
+        raise ConfigError(
+            f"train.seconds={budget.seconds:g}: expected at least the first trial, {first:g} s"
+        )
+    return PlannedSetup(
+        name=_name(config),
+        search=search,
+        problem=problem,
+        world=world,
+        calm=lambda: world_of(build_sim(evaluated)),
+        seeds=seeds,
+        budget=budget,
+        solved=_solved(config),
+        ticks=world.limit_ticks,
+        trials=budget.episodes,
+        initial=actor.initial(seeds),
+        card=policy_card(sim, actor, seeds),
+        told=told.words,
+        episodes=config.eval.episodes,
+        native=evaluation_mode(config),
+        threads=config.compute.threads,
+    )
+
+
+def _name(config: Settings) -> str:
+    return str(config.search._target_).rsplit(".", 1)[-1]
+
+
+def _check(config: Settings) -> None:
+    check_numbers(config)
+    check_seeds(config)
+    at_least("compute.threads", config.compute.threads, 1)
+    at_least("eval.episodes", config.eval.episodes, 1)
+    if device_of(config.compute).type != "cpu":
+        raise ConfigError(f"compute.device={config.compute.device}: expected cpu with a search")
+    if config.train.successes is not None or config.train.until is not None:
+        raise ConfigError(
+            f"train.successes={config.train.successes}, train.until={config.train.until}: expected"
+            " null with a search between trials; it has train.seconds, train.episodes and"
+            " eval.solved"
+        )
+    if config.observation.unwrap is not None or config.observation.delay:
+        raise ConfigError(
+            f"observation.unwrap={config.observation.unwrap}, observation.delay="
+            f"{config.observation.delay}: expected null and 0 with a search between trials"
+        )
+    if config.log.transitions:
+        raise ConfigError("log.transitions=true: expected false with a search between trials")
+
+
+def _solved(config: Settings) -> Solved:
+    asked = dict(config.eval.solved)
+    rate, mean_return = asked.pop("rate", None), asked.pop("mean_return", None)
+    for name, value in asked.items():
+        raise ConfigError(f"eval.solved.{name}={value}: expected rate or mean_return")
+    if rate is not None:
+        positive("eval.solved.rate", rate)
+        if rate > 1:
+            raise ConfigError(f"eval.solved.rate={rate}: expected a share, at most 1")
+    return Solved(rate, mean_return, config.eval.episodes)

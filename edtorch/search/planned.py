@@ -1,0 +1,198 @@
+"""Search by planning: Gauss and Newton through time on the learned model, and a choice among the
+plans by what the uncertainty of the model leaves of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from edtorch.errors import NoPlan
+from edtorch.learner.clock import Clock
+from edtorch.learner.observer import Memory
+from edtorch.policy.policies import Policy
+from edtorch.policy.squash import Squash, wrapped
+from edtorch.policy.timed import TimedPolicy
+from edtorch.search.choice import choose, drawn
+from edtorch.search.knowledge import Knowledge
+from edtorch.search.plan import Cost, Plan, ramp
+from edtorch.search.problem import Improvement, Left, Problem
+from edtorch.search.quiet import quiet_gains
+from edtorch.search.shooting import connect, shoot
+from edtorch.search.starts import lines, sinusoids, still
+from edtorch.search.target import mean_start
+from edtorch.search.tick_model import TickModel
+from edtorch.seeding import Purpose, stream_key
+from edtorch.types import Parameters
+
+
+@dataclass(frozen=True)
+class PlannedSearch:
+    """Plans from the mean start, by single shooting from ``starts`` swinging actions and the last
+    plans, and by multiple shooting from ``straight`` lines to the target.
+
+    random: seconds of the first trial, whose actions are random, None: a whole one.
+    power: of the weights (t / H)^power; squash: see ``edtorch.search.plan.Cost``.
+    gains: ``plain`` ones of the plan, those for noisy readings (``covariance``), or the better of
+    ``both``.  keep: plans with the least cost that are imagined ``draws`` times each, with models
+    drawn from the posterior, its deviations times ``inflation``, and held; that with the most
+    successes is taken, the cheaper at a tie.  abort: scaled distance from the plan at which a trial
+    is given up, None: never.  substeps: of Runge and Kutta's method in a tick.
+    """
+
+    random: float | None = None
+    power: float = 4.0
+    squash: float = 1e-3
+    starts: int = 8
+    straight: int = 0
+    gains: Literal["plain", "covariance", "both"] = "both"
+    keep: int = 6
+    draws: int = 100
+    inflation: float = 2.0
+    abort: float | None = 1.5
+    substeps: int = 2
+
+    figures = (
+        *("transitions", "terms", "model_error", "plans", "dropped", "cost", "imagined"),
+        *("largest_gain", "noise_aware"),
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings."""
+        for name, least in (("starts", 0), ("straight", 0), ("keep", 1), ("draws", 1)):
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(f"{name}={value}: expected an integer >= {least}")
+        if not self.starts + self.straight:
+            raise ValueError("starts=0, straight=0: expected one of them above 0")
+        if self.substeps < 1:
+            raise ValueError(f"substeps={self.substeps}: expected an integer >= 1")
+        for name in ("random", "abort"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ValueError(f"{name}={value}: expected a number > 0, or null")
+        for name in ("power", "squash", "inflation"):
+            value = getattr(self, name)
+            if not value >= 0:
+                raise ValueError(f"{name}={value}: expected a number >= 0")
+
+    def policy(self, problem: Problem) -> tuple[Policy, Memory | None]:
+        """See ``TrialSearch``: a policy of plans, with a clock."""
+        squash = Squash(problem.middle, problem.half)
+        return TimedPolicy(problem.ticks, squash, problem.period), Clock()
+
+    def left(self, problem: Problem, parameters: Parameters) -> Left | None:
+        """See ``TrialSearch``."""
+        limit, planned = self.abort, parameters["state"]
+        if limit is None:
+            return None
+
+        def left(tick: int, readings: Tensor) -> Tensor:
+            at = min(tick, planned.shape[1] - 1)
+            return wrapped(readings - planned[:, at], problem.period).norm(dim=-1) > limit
+
+        return left
+
+    def improve(self, problem: Problem, knowledge: Knowledge, seed: int, trial: int) -> Improvement:
+        """See ``TrialSearch``."""
+        learned = problem.learn(knowledge.transitions(problem.dt), knowledge.trial)
+        structure = problem.structures[learned.name]
+        model = TickModel(
+            structure,
+            learned.posterior.weight.numpy(),
+            problem.dt,
+            problem.middle.numpy(),
+            problem.half.numpy(),
+            self.substeps,
+        )
+        cost = Cost(problem.rows, ramp(problem.ticks, self.power), problem.action, self.squash)
+        starts = problem.starts(seed)
+        generator = _generator(seed, Purpose.PLAN, trial)
+        plans, dropped = self._plans(problem, model, cost, starts, knowledge, generator)
+        if not plans:
+            raise NoPlan(f"none of {dropped} starts led to a finite plan")
+        noise = learned.reading_noise if problem.noise is None else problem.noise
+        candidates = self._candidates(problem, model, cost, plans, starts, noise)
+        futures = drawn(
+            learned.posterior,
+            starts,
+            noise,
+            problem.ticks,
+            self.draws,
+            self.inflation,
+            _generator(seed, Purpose.POSTERIOR, trial),
+        )
+        chosen = choose(model, cost, candidates, futures, problem.judge)
+        plan = candidates[chosen.place]
+        return Improvement(
+            {name: torch.from_numpy(getattr(plan, name)) for name in ("state", "raw", "gain")},
+            knowledge.with_plan(torch.from_numpy(plan.raw)),
+            {
+                "transitions": float(learned.count),
+                "terms": float(structure.terms.count),
+                "model_error": learned.error,
+                "plans": float(len(plans)),
+                "dropped": float(dropped),
+                "cost": plan.cost,
+                "imagined": chosen.success,
+                "largest_gain": float(np.abs(plan.gain).max()),
+                "noise_aware": float(self._is_noise_aware(chosen.place, len(plans))),
+            },
+            learned.notes,
+        )
+
+    def _plans(
+        self,
+        problem: Problem,
+        model: TickModel,
+        cost: Cost,
+        starts: Tensor,
+        knowledge: Knowledge,
+        generator: np.random.Generator,
+    ) -> tuple[list[Plan], int]:
+        """Finite plans, the cheapest first, and how many starts came to nothing."""
+        start, m = mean_start(starts, problem.period).numpy(), len(problem.half)
+        ticks, dt = problem.ticks, problem.dt
+        swings = sinusoids(start, ticks, m, dt, self.starts, generator)
+        swings += [still(start, raw.numpy()) for raw in knowledge.plans if len(raw) == ticks]
+        found = [shoot(model, cost, swings)] if swings else []
+        if self.straight:
+            straight = [
+                line
+                for _ in range(self.straight)
+                for line in lines(
+                    model.structure, start, problem.goal.numpy(), ticks, m, dt, generator
+                )
+            ]
+            found.append(connect(model, cost, straight[: self.straight]))
+        plans = sorted((p for each in found for p in each.plans), key=lambda plan: plan.cost)
+        return plans[: self.keep], sum(each.dropped for each in found)
+
+    def _candidates(
+        self,
+        problem: Problem,
+        model: TickModel,
+        cost: Cost,
+        plans: Sequence[Plan],
+        starts: Tensor,
+        noise: Tensor,
+    ) -> list[Plan]:
+        """The plans with their own gains, then with those for noisy readings, as ``gains`` says."""
+        if self.gains == "plain":
+            return list(plans)
+        away = wrapped(starts - mean_start(starts, problem.period), problem.period)
+        start, reading = (away.mT @ away / len(away)).numpy(), noise.square().diag().numpy()
+        aware = [quiet_gains(model, cost, plan, start, reading) for plan in plans]
+        return aware if self.gains == "covariance" else [*plans, *aware]
+
+    def _is_noise_aware(self, place: int, plans: int) -> bool:
+        return self.gains == "covariance" or place >= plans
+
+
+def _generator(seed: int, purpose: Purpose, trial: int) -> np.random.Generator:
+    key = np.array(stream_key(seed, purpose, trial), dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key))

@@ -1,0 +1,147 @@
+"""Searches between trials, from the command line and from Python."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import edtorch
+from edtorch.app.build_planned import Solved
+from tests.app.conftest import Result
+
+SMALL = ("experiment=pendulum_swingup", "search.starts=4", "search.draws=20", "eval.episodes=20")
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> edtorch.Run:
+    folder = tmp_path_factory.mktemp("runs") / "pendulum"
+    run = edtorch.learn(preset="pendulum_swingup", seeds=2, overrides=SMALL[1:], progress=False)
+    run.save(folder)
+    return run
+
+
+@pytest.mark.experiment
+def test_a_pendulum_is_swung_up_after_seconds(solved: edtorch.Run) -> None:
+    summary = solved.summary
+    assert summary["never_solved"] == []
+    assert summary["seconds_to_solved"]["max"] <= 8
+    for rates, seconds in zip(
+        summary["success_rate_after_trial"], summary["seconds_after_trial"], strict=True
+    ):
+        assert rates[-1] >= 0.95
+        assert all(rate < 0.95 for rate in rates[:-1])
+        assert len(rates) == len(seconds)
+    assert summary["trials_to_solved"]["per_seed"] == [
+        float(len(rates)) for rates in summary["success_rate_after_trial"]
+    ]
+    assert "rate of angle" in summary["told"]
+
+
+@pytest.mark.experiment
+def test_the_policies_succeed_in_other_episodes(solved: edtorch.Run) -> None:
+    rates = solved.evaluate(40)["success_rate"]
+    assert all(rate is not None and rate >= 0.9 for rate in rates)
+
+
+@pytest.mark.experiment
+def test_a_seed_alone_is_the_seed_of_a_population(solved: edtorch.Run) -> None:
+    alone = edtorch.learn(
+        preset="pendulum_swingup", seed=1, seeds=1, overrides=SMALL[1:], progress=False
+    )
+    for name, p in alone.policies[0].parameters.items():
+        assert torch.equal(p, solved.policies[1].parameters[name])
+
+
+@pytest.mark.experiment
+def test_a_saved_policy_acts_as_it_did(solved: edtorch.Run) -> None:
+    assert solved.folder is not None
+    again = edtorch.load(solved.folder)
+    assert again.evaluate(10) == solved.evaluate(10)
+    first, second = again.policies[0], solved.policies[0]
+    assert first.remembers
+    readings = [np.array([3.1, 0.0]), np.array([2.9, -1.0])]
+    for reading in readings:
+        assert np.array_equal(first.predict(reading), second.predict(reading))
+    late = first.predict(readings[0])
+    first.reset()
+    assert not np.array_equal(first.predict(readings[0]), late)
+
+
+@pytest.mark.experiment
+def test_the_folder_is_complete(solved: edtorch.Run) -> None:
+    folder = solved.folder
+    assert folder is not None
+    found = {path.name for path in folder.iterdir()}
+    assert {"config.yaml", "policy.safetensors", "summary.json", "metrics.csv"} <= found
+    assert {"episodes.csv", "learning_curve.png", "success.webp"} <= found
+    with (folder / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    trials = sum(len(rates) for rates in solved.summary["success_rate_after_trial"])
+    assert len(rows) == trials == len(solved.episodes)
+    assert all(float(row["imagined"]) <= 1 for row in rows)
+    assert json.loads((folder / "summary.json").read_text())["search"] == "PlannedSearch"
+
+
+@pytest.mark.parametrize(
+    ("rate", "mean_return", "found", "holds"),
+    [
+        (None, None, (1.0, 9.0), False),
+        (0.95, None, (0.95, -9.0), True),
+        (0.95, None, (0.94, 9.0), False),
+        (None, -200.0, (0.0, -199.0), True),
+        (0.5, -200.0, (0.6, -201.0), False),
+    ],
+)
+def test_when_a_task_counts_as_solved(
+    rate: float | None, mean_return: float | None, found: tuple[float, float], holds: bool
+) -> None:
+    assert Solved(rate, mean_return, 100).holds(*found) is holds
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["search.starts=0"], "search.starts=0, straight=0: expected one of them above 0"),
+        (["search.abort=-1"], "search.abort=-1.0: expected a number > 0, or null"),
+        (["search.gains=best"], "search.gains=best: expected one of plain, covariance, both"),
+        (["+eval.solved.return=3"], "eval.solved.return=3"),
+        (["eval.solved.rate=2"], "eval.solved.rate=2.0: expected a share"),
+        (["told.invariant=[speeed]"], "told.invariant='speeed': no component"),
+        (["told.constant=[angle]"], "told.rates: 'rate' is the rate of 'angle'"),
+        (["model=derivative"], "lacks structures"),
+        (["fit=least_squares"], "lacks learn"),
+        (["rival=lqr"], "expected one of the two"),
+        (["train.successes=2"], "train.successes=2"),
+        (
+            ["~reward.rows", "reward=saturating", "+reward.width.angle=1"],
+            "expected a quadratic reward",
+        ),
+        (
+            ["reward.rows=[{tip: 1}]"],
+            "reward: rows[0].tip=1.0: expected one of constant, sin angle",
+        ),
+        (["log.transitions=true"], "log.transitions=true"),
+        (
+            ["train.seconds=2", "train.episodes=null"],
+            "train.seconds=2: expected at least the first trial, 4 s",
+        ),
+    ],
+)
+def test_refuses_with_one_line(
+    command: Callable[..., Result], arguments: list[str], words: str
+) -> None:
+    result = command("edtorch-train", *SMALL, *arguments)
+    assert result.status != 0
+    assert words in result.line
+
+
+def test_models_of_a_search_are_no_models_of_a_learner(command: Callable[..., Any]) -> None:
+    result = command("edtorch-train", "model=implicit")
+    assert result.status != 0
+    assert "search=planned" in result.line
