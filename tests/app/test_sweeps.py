@@ -322,7 +322,9 @@ def sweep_of(start: Start, workplace: Path, patience: float) -> Callable[..., tu
 
 
 @pytest.mark.experiment
-@pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
+@pytest.mark.parametrize(
+    "launcher", ["joblib", pytest.param("submitit_local", marks=pytest.mark.long)]
+)
 def test_in_processes_of_their_own(
     sweep_of: Callable[..., tuple[int, str]], command: Command, workplace: Path, launcher: str
 ) -> None:
@@ -340,9 +342,8 @@ def test_in_processes_of_their_own(
 
 
 @pytest.mark.experiment
-@pytest.mark.parametrize(
-    "launcher", ["joblib", pytest.param("submitit_local", marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
 def test_a_job_that_is_killed(
     sweep_of: Callable[..., tuple[int, str]], workplace: Path, launcher: str
 ) -> None:

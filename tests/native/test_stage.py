@@ -83,11 +83,11 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.mark.parametrize(
     ("kind", "seeds", "least"),
     [
-        ("plain", 20, 200),
+        pytest.param("plain", 20, 200, marks=pytest.mark.long),
         ("affine", 20, 200),
-        ("regulated", 3, 30),
+        pytest.param("regulated", 3, 30, marks=pytest.mark.long),
         ("paper", 20, 30),
-        ("safe", 3, 0),
+        pytest.param("safe", 3, 0, marks=pytest.mark.long),
         ("everything", 3, 3),
     ],
 )
