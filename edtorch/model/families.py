@@ -10,11 +10,20 @@ from edtorch.model.terms import Terms
 from edtorch.model.told import Told
 
 
+def _at_least_one(degree: int) -> None:
+    if degree < 1:
+        raise ValueError(f"degree={degree}: expected an integer >= 1")
+
+
 @dataclass(frozen=True)
 class Implicit:
     """Each acceleration linear in the others: the equations of a mechanism (``Terms.implicit``)."""
 
     degree: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings."""
+        _at_least_one(self.degree)
 
     def structures(self, told: Told) -> dict[str, Structure]:
         """The one structure, by name."""
@@ -28,6 +37,10 @@ class Products:
 
     degree: int = 3
 
+    def __post_init__(self) -> None:
+        """Refuse impossible settings."""
+        _at_least_one(self.degree)
+
     def structures(self, told: Told) -> dict[str, Structure]:
         """The one structure, by name."""
         lift = Lift.of(told)
@@ -39,6 +52,10 @@ class Monomials:
     """Accelerations by all monomials of the lift (``Terms.monomials``): no mechanism is told."""
 
     degree: int = 4
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings."""
+        _at_least_one(self.degree)
 
     def structures(self, told: Told) -> dict[str, Structure]:
         """The one structure, by name."""

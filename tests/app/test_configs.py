@@ -12,6 +12,7 @@ import yaml
 
 from edtorch.app import groups
 from edtorch.app.build import Setup, build
+from edtorch.app.build_planned import build_planned, is_planned
 from edtorch.app.compose import CONF as ROOT
 from edtorch.app.compose import compose
 from edtorch.app.domain import build_sim
@@ -67,8 +68,13 @@ OPTIONS = sorted(
     if path.parent.name not in ("experiment", "evaluate")
 )
 CARDEA = ["domain=cardea", "reward=goal", "fit=ridge"]
+SEARCH = ["experiment=pendulum_swingup"]
 # What an option needs beside it to be built.
 BESIDE = {
+    **{("model", name): SEARCH for name in ("auto", "implicit", "monomials", "products")},
+    ("fit", "paths"): SEARCH,
+    ("reward", "lifted"): SEARCH,
+    ("search", "planned"): SEARCH,
     ("domain", "cardea"): ["reward=quadratic", "+reward.state.tilt=1"],
     ("inverse", "learned"): CARDEA,
     ("inverse", "kinematic"): CARDEA,
@@ -154,7 +160,11 @@ def test_option_builds(group: str, option: str) -> None:
         (group, option), []
     ):
         pytest.importorskip("pybullet", reason="the extra [cardea] is not installed")
-    setup = build(_compose(f"{group}={option}", "seeds=2", *BESIDE.get((group, option), [])))
+    config = _compose(f"{group}={option}", "seeds=2", *BESIDE.get((group, option), []))
+    if is_planned(config):
+        assert build_planned(config).seeds == [0, 1]
+        return
+    setup = build(config)
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
     assert training.advance(3) == 3
     assert bool(training.finite.all())

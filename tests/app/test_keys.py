@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from edtorch.app.build import build
+from edtorch.app.build_planned import build_planned, is_planned
 from edtorch.app.compose import CONF, compose
 from edtorch.app.errors import ConfigError
 from edtorch.app.random_search import build_search, is_rival, is_search
@@ -55,6 +56,8 @@ def _refusal(settings: Mapping[str, Any]) -> str | None:
             build_search(config)
         elif is_rival(config):
             build_rival(config)
+        elif is_planned(config):
+            build_planned(config)
         else:
             build(config)
     except ConfigError as error:
