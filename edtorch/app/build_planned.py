@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -30,7 +29,7 @@ from edtorch.run.policy_file import PolicyCard
 from edtorch.run.scaled_sim import World
 from edtorch.run.trial import look_at_starts
 from edtorch.search.problem import Problem, TrialSearch
-from edtorch.search.target import wanted_state
+from edtorch.search.target import wanted_states
 from edtorch.types import Parameters
 from sims.base import JudgesStates
 
@@ -118,16 +117,17 @@ def build_problem(config: Settings, world: World) -> tuple[TrialSearch, Problem,
     with under("model"):
         structures = model.structures(told)
     ticks = world.limit_ticks
-    lift = next(iter(structures.values())).lift
+    first = next(iter(structures.values()))
     if world.reward is None:
         raise ConfigError("reward: expected one to plan with")
     with under("reward"):
-        rows, action = squares_of(world.reward, lift)
+        squares, action = squares_of(world.reward, first.lift, ticks)
+    rows = squares.numpy()
     noise = build_deviations(config.observation, world) if config.observation.noise else None
     problem = Problem(
         structures=structures,
         learn=lambda transitions, trial: fit.learn(structures, transitions, trial),
-        rows=np.broadcast_to(rows.numpy(), (ticks + 1, *rows.shape)),
+        rows=rows,
         action=(action * world.action_half_range**2).numpy(),
         middle=world.action_middle,
         half=world.action_half_range,
@@ -136,7 +136,7 @@ def build_problem(config: Settings, world: World) -> tuple[TrialSearch, Problem,
         starts=lambda seed: look_at_starts(world, seed, STARTS),
         judge=_judge(world),
         noise=noise,
-        goal=wanted_state(lift, rows.numpy()),
+        goal=wanted_states(first, rows, world.dt),
     )
     return search, problem, told
 
@@ -168,7 +168,8 @@ def build_planned(config: Settings) -> PlannedSetup:
     world = world_of(sim)
     search, problem, told = build_problem(config, world)
     seeds = [config.seed + k for k in range(config.seeds)]
-    actor, _ = search.policy(problem)
+    with under("search"):
+        actor, _ = search.policy(problem)
     budget = given_budget(config.train) or Budget(episodes=10)
     check_ticks(budget, world.dt)
     first = min(world.limit_ticks * world.dt, search.random or math.inf)

@@ -110,6 +110,11 @@ def build_forward(config: Settings, world: World) -> Forward:
     model = _moved(build_model(config.model, world, dtype, config.seed), device)
     policy = _moved(build_policy(config.policy, sim, dtype, config.seed), device)
     reward = build_reward(config.reward, sim, dtype, device)
+    if getattr(reward, "timed", False):
+        raise ConfigError(
+            "reward: expected none with a reference, whose value depends on the time of an episode;"
+            " search=planned follows one"
+        )
     transform = construct(
         "transform",
         config.transform,

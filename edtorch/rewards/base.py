@@ -23,6 +23,8 @@ class Reward(Protocol):
     * ``target`` ``[n]``: the state it wants, from which an unroll may start;
     * ``smooth = False``: r has no second derivatives everywhere, and is refused by transforms that
       take them;
+    * ``timed = True``: something is to be followed, so that r depends on the time of an episode,
+      too: planners alone can take that in (``edtorch.rewards.squares``);
     * ``actions``: the m that r expects, for the checks of ``edtorch.value.checks``.
     """
 

@@ -25,6 +25,7 @@ class PhysicalReward:
         self.action_scale = action_scale
         self.actions = action_scale.shape[0]
         self.smooth = getattr(reward, "smooth", True)
+        self.timed = getattr(reward, "timed", False)
         self.lifted_squares = getattr(reward, "lifted_squares", None)  # of scaled states already
 
     def __call__(self, state: States, action: Actions, /) -> Tensor:

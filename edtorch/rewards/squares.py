@@ -1,6 +1,6 @@
 r"""Rewards as squares of what is linear in the lift, which planners take.
 
-r(s, a) = -|R A(s)|^2 - sum_j w_j a_j^2,  A(s) = [1 | sin and cos of angles, else s_i | a]
+r_t(s, a) = -|R_t A(s)|^2 - sum_j w_j a_j^2,  A(s) = [1 | sin and cos of angles, else s_i | a]
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from edtorch.rewards.base import Reward, quadratic_form_of
 from edtorch.rewards.form import QuadraticForm
 
 
-def squares_of(reward: Reward, lift: Lift) -> tuple[Tensor, Tensor]:
-    """R ``[r, A]`` and w ``[m]`` of a reward of scaled states and actions.
+def squares_of(reward: Reward, lift: Lift, ticks: int) -> tuple[Tensor, Tensor]:
+    """R ``[ticks + 1, r, A]`` and w ``[m]`` of a reward of scaled states and actions.
 
     A reward says them itself (``lifted_squares``, as ``edtorch.rewards.LiftedReward``), or has a
     quadratic form.  Squares of the deviation of an angle from its target then become those of the
@@ -24,14 +24,15 @@ def squares_of(reward: Reward, lift: Lift) -> tuple[Tensor, Tensor]:
     """
     offered = getattr(reward, "lifted_squares", None)
     if offered is not None:
-        return offered
+        return offered(ticks)
     form = quadratic_form_of(reward)
     if form is None:
         raise ValueError(
             f"{type(reward).__name__}: expected a quadratic reward (state, action, target), or"
             " edtorch.rewards.LiftedReward, to plan with"
         )
-    return _of_form(form, lift)
+    rows, action = _of_form(form, lift)
+    return rows.expand(ticks + 1, *rows.shape), action
 
 
 def _of_form(form: QuadraticForm, lift: Lift) -> tuple[Tensor, Tensor]:

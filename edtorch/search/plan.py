@@ -50,7 +50,8 @@ class Plan:
     cost: float
 
 
-def ramp(ticks: int, power: float) -> np.ndarray:
-    """Weights (t / H)^power ``[H + 1]`` that grow along the horizon, so that a plan may take its
-    time: with power 0 nearly all starts end in poor local optima of a swing-up."""
-    return (np.arange(ticks + 1) / ticks) ** power
+def ramp(ticks: int, power: float, until: int | None = None) -> np.ndarray:
+    """Weights ``[H + 1]``, (t / until)^power and then 1, ``until`` being H by default: they grow,
+    so that a plan may take its time.  With power 0 nearly all starts end in poor local optima of a
+    swing-up."""
+    return np.minimum(np.arange(ticks + 1) / (until or ticks), 1.0) ** power

@@ -22,7 +22,7 @@ from edtorch.search.knowledge import Knowledge
 from edtorch.search.plan import Cost, Plan, ramp
 from edtorch.search.problem import Improvement, Left, Problem
 from edtorch.search.quiet import quiet_gains
-from edtorch.search.shooting import connect, shoot
+from edtorch.search.segments import plan_through
 from edtorch.search.starts import lines, sinusoids, still
 from edtorch.search.target import mean_start
 from edtorch.search.tick_model import TickModel
@@ -36,7 +36,9 @@ class PlannedSearch:
     plans, and by multiple shooting from ``straight`` lines to the target.
 
     random: seconds of the first trial, whose actions are random, None: a whole one.
-    power: of the weights (t / H)^power; squash: see ``edtorch.search.plan.Cost``.
+    ramp: seconds for which weights grow as (t / ramp)^power, and for which a plan is made first; it
+    then goes on to the end of the trial in segments of constant weights.  None: the whole trial is
+    one.  squash: see ``edtorch.search.plan.Cost``.
     gains: ``plain`` ones of the plan, those for noisy readings (``covariance``), or the better of
     ``both``.  keep: plans with the least cost that are imagined ``draws`` times each, with models
     drawn from the posterior, its deviations times ``inflation``, and held; that with the most
@@ -45,6 +47,7 @@ class PlannedSearch:
     """
 
     random: float | None = None
+    ramp: float | None = None
     power: float = 4.0
     squash: float = 1e-3
     starts: int = 8
@@ -71,7 +74,7 @@ class PlannedSearch:
             raise ValueError("starts=0, straight=0: expected one of them above 0")
         if self.substeps < 1:
             raise ValueError(f"substeps={self.substeps}: expected an integer >= 1")
-        for name in ("random", "abort"):
+        for name in ("random", "ramp", "abort"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name}={value}: expected a number > 0, or null")
@@ -82,6 +85,7 @@ class PlannedSearch:
 
     def policy(self, problem: Problem) -> tuple[Policy, Memory | None]:
         """See ``TrialSearch``: a policy of plans, with a clock."""
+        self._opening(problem)
         squash = Squash(problem.middle, problem.half)
         return TimedPolicy(problem.ticks, squash, problem.period), Clock()
 
@@ -109,7 +113,8 @@ class PlannedSearch:
             problem.half.numpy(),
             self.substeps,
         )
-        cost = Cost(problem.rows, ramp(problem.ticks, self.power), problem.action, self.squash)
+        weight = ramp(problem.ticks, self.power, self._opening(problem))
+        cost = Cost(problem.rows, weight, problem.action, self.squash)
         starts = problem.starts(seed)
         generator = _generator(seed, Purpose.PLAN, trial)
         plans, dropped = self._plans(problem, model, cost, starts, knowledge, generator)
@@ -156,21 +161,24 @@ class PlannedSearch:
     ) -> tuple[list[Plan], int]:
         """Finite plans, the cheapest first, and how many starts came to nothing."""
         start, m = mean_start(starts, problem.period).numpy(), len(problem.half)
-        ticks, dt = problem.ticks, problem.dt
-        swings = sinusoids(start, ticks, m, dt, self.starts, generator)
-        swings += [still(start, raw.numpy()) for raw in knowledge.plans if len(raw) == ticks]
-        found = [shoot(model, cost, swings)] if swings else []
-        if self.straight:
-            straight = [
-                line
-                for _ in range(self.straight)
-                for line in lines(
-                    model.structure, start, problem.goal.numpy(), ticks, m, dt, generator
-                )
-            ]
-            found.append(connect(model, cost, straight[: self.straight]))
-        plans = sorted((p for each in found for p in each.plans), key=lambda plan: plan.cost)
-        return plans[: self.keep], sum(each.dropped for each in found)
+        first, goal, dt = self._opening(problem), problem.goal.numpy(), problem.dt
+        swings = sinusoids(start, first, m, dt, self.starts, generator)
+        swings += [still(start, raw.numpy()[:first]) for raw in knowledge.plans]
+        straight: list[Plan] = []
+        while len(straight) < self.straight:
+            straight += lines(model.structure, start, goal[first], first, m, dt, generator)
+        return plan_through(model, cost, first, swings, straight[: self.straight], goal, self.keep)
+
+    def _opening(self, problem: Problem) -> int:
+        """Ticks of the first segment.  Raises ValueError."""
+        ticks = problem.ticks if self.ramp is None else round(self.ramp / problem.dt)
+        if not 1 <= ticks <= problem.ticks:
+            longest = problem.dt * problem.ticks
+            raise ValueError(
+                f"ramp={self.ramp}: expected seconds from {problem.dt:g} to {longest:g}, the length"
+                " of a trial"
+            )
+        return ticks
 
     def _candidates(
         self,

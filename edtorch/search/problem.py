@@ -27,7 +27,7 @@ class Problem:
     period ``[n]``: of angles, else 0; dt: s; starts: of a seed to readings ``[k, n]`` of starts;
     judge: of true states ``[*batch, H + 1, n]`` to whether the task would be done, bool
     ``[*batch]``, None where nobody says; noise ``[n]``: standard deviations of readings where they
-    are told; goal ``[n]``: the state that the last rows want.
+    are told; goal ``[H + 1, n]``: the states that the rows want.
     """
 
     structures: Mapping[str, Structure]

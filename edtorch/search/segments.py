@@ -2,16 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from torch import from_numpy
 
 from edtorch.search.plan import Cost, Plan
-from edtorch.search.shooting import DESCENT, Descent, shoot
+from edtorch.search.shooting import DESCENT, Descent, connect, shoot
 from edtorch.search.tick_model import TickModel
 
 _STABLE = 12
 """The gains of the last ticks before an end are those of a short horizon; that many before it they
 are settled."""
+
+
+def plan_through(
+    model: TickModel,
+    cost: Cost,
+    first: int,
+    swings: Sequence[Plan],
+    straight: Sequence[Plan],
+    goal: np.ndarray,
+    keep: int,
+) -> tuple[list[Plan], int]:
+    """The ``keep`` cheapest finite plans, the cheapest first, and how many starts came to nothing.
+
+    Over the first ``first`` ticks from ``swings`` by single shooting and from ``straight`` by
+    multiple shooting; what is cheapest there goes on to the horizon of ``cost`` (``extend``).
+    """
+    opening = cost.part(0, first)
+    found = [shoot(model, opening, swings)] if swings else []
+    found += [connect(model, opening, straight)] if straight else []
+    plans = sorted((p for each in found for p in each.plans), key=lambda plan: plan.cost)[:keep]
+    dropped = sum(each.dropped for each in found)
+    if first == cost.ticks:
+        return plans, dropped
+    longer = [extend(model, cost, plan, goal) for plan in plans]
+    whole = sorted((plan for plan in longer if plan is not None), key=lambda plan: plan.cost)
+    return whole, dropped + len(plans) - len(whole)
 
 
 def extend(

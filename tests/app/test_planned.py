@@ -88,6 +88,15 @@ def test_the_folder_is_complete(solved: edtorch.Run) -> None:
     assert json.loads((folder / "summary.json").read_text())["search"] == "PlannedSearch"
 
 
+@pytest.mark.experiment
+def test_a_tip_follows_a_wave_after_seconds() -> None:
+    small = ("search.starts=4", "search.keep=2", "search.draws=20", "eval.episodes=20")
+    run = edtorch.learn(preset="cartpole_tracking", overrides=small, progress=False)
+    assert run.summary["seconds_to_solved"]["max"] <= 14
+    assert run.evaluate(20)["tip_rms_m"][0] <= 0.03
+    assert run.episodes[0]["seconds"] == pytest.approx(4)
+
+
 @pytest.mark.parametrize(
     ("rate", "mean_return", "found", "holds"),
     [
@@ -108,6 +117,10 @@ def test_when_a_task_counts_as_solved(
     ("arguments", "words"),
     [
         (["search.starts=0"], "search.starts=0, straight=0: expected one of them above 0"),
+        (
+            ["search.ramp=5"],
+            "search.ramp=5.0: expected seconds from 0.1 to 4, the length of a trial",
+        ),
         (["search.abort=-1"], "search.abort=-1.0: expected a number > 0, or null"),
         (["search.gains=best"], "search.gains=best: expected one of plain, covariance, both"),
         (["+eval.solved.return=3"], "eval.solved.return=3"),
@@ -124,7 +137,7 @@ def test_when_a_task_counts_as_solved(
         ),
         (
             ["reward.rows=[{tip: 1}]"],
-            "reward: rows[0].tip=1.0: expected one of constant, sin angle",
+            "reward: rows[0].tip=1: expected one of constant, sin angle",
         ),
         (["log.transitions=true"], "log.transitions=true"),
         (
@@ -139,6 +152,15 @@ def test_refuses_with_one_line(
     result = command("edtorch-train", *SMALL, *arguments)
     assert result.status != 0
     assert words in result.line
+
+
+def test_what_is_to_be_followed_is_for_planners_alone(command: Callable[..., Any]) -> None:
+    wave = "{amplitude: 1, period: 1}"
+    result = command(
+        "edtorch-train", "reward=lifted", f"reward.rows=[{{lean: 1, reference: {wave}}}]"
+    )
+    assert result.status != 0
+    assert "search=planned follows one" in result.line
 
 
 def test_models_of_a_search_are_no_models_of_a_learner(command: Callable[..., Any]) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from edtorch.search.plan import Cost
-from edtorch.search.segments import extend
+from edtorch.search.segments import extend, plan_through
 from edtorch.search.shooting import Descent, connect, shoot
-from edtorch.search.starts import lines, still
+from edtorch.search.starts import lines, sinusoids, still
 from edtorch.search.tick_model import TickModel
 from tests.planning import (
     HANGING,
@@ -59,6 +59,21 @@ def test_what_does_not_fit_is_named() -> None:
         extend(model, oscillator_cost(model, 30), plan, np.zeros((31, 2)))
     with pytest.raises(ValueError, match=r"goal: shape \(31, 2\): expected \(41, 2\)"):
         extend(model, oscillator_cost(model, 40), plan, np.zeros((31, 2)))
+
+
+def test_the_cheapest_plans_go_on_to_the_end() -> None:
+    model, start, goal = oscillator(), np.array([0.4, -0.2]), np.zeros((31, 2))
+    cost = oscillator_cost(model, 30)
+    swings = sinusoids(start, 15, 1, model.dt, 3, np.random.default_rng(0))
+    lost = still(np.array([np.nan, 0.0]), np.zeros((15, 1)))
+    straight = lines(model.structure, start, goal[15], 15, 1, model.dt, np.random.default_rng(1))
+    plans, dropped = plan_through(model, cost, 15, [*swings, lost], straight, goal, keep=2)
+    assert len(plans) == 2 and dropped == 1 and plans[0].cost <= plans[1].cost
+    opening = shoot(model, cost.part(0, 15), swings).plans
+    best = extend(model, cost, min(opening, key=lambda plan: plan.cost), goal)
+    assert best is not None and plans[0].cost == pytest.approx(best.cost, rel=1e-3)
+    whole, _ = plan_through(model, cost, 30, [still(start, np.zeros((30, 1)))], [], goal, keep=2)
+    assert whole[0].cost < plans[0].cost
 
 
 def _tracking_cost(model: TickModel, ticks: int, first: int) -> tuple[Cost, np.ndarray]:
