@@ -11,8 +11,10 @@ in a tick; a pole turns by a radian.  The path is not measured:
 
 - pass 1 goes without a model: what is learned is linear between its two readings, what it is the
   rate of is its integral, bent to meet both readings, and f_j is its measured mean;
-- each later pass takes the path of the model of the pass before, from the first reading, with f_j
-  shifted to have the measured mean.
+- each later pass takes the path of the model of the pass before, from the first reading, bent to
+  meet the second as well, with f_j shifted to have the measured mean.  What a linear bend adds to
+  the rates is what the shift adds to f; half the error of each reading enters, not all of the
+  first one's.
 
 Each pass is a linear regression (``edtorch.model.evidence``).  Rows weigh less where they turn far
 in a tick (pass 1: the bent path is wrong there) or fit badly (later, Cauchy's weights; Huber &
@@ -40,6 +42,8 @@ _TURN = 0.7
 """rad a tick at which a row weighs half in pass 1."""
 _TAIL = 3.0
 """Standard deviations at which a row weighs half later."""
+_WILD = 10.0
+"""Those at which a reading bends a path by half."""
 _FAR = 1e3
 """A path that comes this far from zero, in scaled units, is not used."""
 
@@ -76,7 +80,7 @@ def fit_paths(
         own = _regressors(structure, paths, data.action)
         inside = (paths.state.abs() < _FAR).all(-1).all(0) & own.isfinite().all(-1)
         X = torch.where(inside.unsqueeze(-1), own, first)
-        found = evidence(X, y.mT, _cauchy(y.mT - found.weight @ X.mT), structure.allowed)
+        found = evidence(X, y.mT, _cauchy(y.mT - found.weight @ X.mT, _TAIL), structure.allowed)
         found = replace(found, fallbacks=int((~inside).sum()))
     return found
 
@@ -143,12 +147,16 @@ def _interpolated(structure: Structure, data: Transition, change: Tensor, y: Ten
 
 
 def _own(structure: Structure, weight: Tensor, data: Transition, y: Tensor) -> _Paths:
-    """The model's own paths from the readings."""
+    """The model's own paths from the first readings, bent to meet the second, as far as these are
+    to be trusted: a wild reading bends nothing."""
     states = [data.state]
     for _ in range(_NODES - 1):
         part = data.dt / (_NODES - 1)
         states.append(runge_kutta(structure, weight, states[-1], data.action, part, steps=1))
-    state = torch.stack(states)
+    missed = structure.difference(data.next_state, states[-1])
+    share = torch.linspace(0, 1, _NODES, dtype=y.dtype)[:, None, None]
+    trust = _cauchy(missed.mT, _WILD).amin(0).unsqueeze(-1)
+    state = torch.stack(states) + share * trust * missed
     f = accelerations(structure, weight, state, data.action.expand(_NODES, *data.action.shape))
     return _Paths(state, f + y - _mean(f))
 
@@ -168,9 +176,9 @@ def _mean(nodes: Tensor) -> Tensor:
     return torch.einsum("q,q...->...", weight / weight.sum(), nodes)
 
 
-def _cauchy(residual: Tensor) -> Tensor:
-    """Weights ``[L, N]``; the standard deviation is 1.48 times the median of the size, as it is of
-    normal numbers."""
-    deviation = 1.48 * residual.abs().median(dim=-1, keepdim=True).values
+def _cauchy(residual: Tensor, tail: float) -> Tensor:
+    """Weights ``[p, N]`` from errors, a half at ``tail`` standard deviations, each 1.48 times the
+    median of the size, as it is of normal numbers."""
+    deviation = 1.48 * residual.abs().nanmedian(dim=-1, keepdim=True).values
     least = math.sqrt(torch.finfo(residual.dtype).tiny)
-    return 1 / (1 + (residual / (_TAIL * deviation).clamp(min=least)).square())
+    return 1 / (1 + (residual / (tail * deviation).clamp(min=least)).square())

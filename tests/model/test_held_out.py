@@ -51,7 +51,7 @@ def test_a_mechanism_is_best_described_by_its_equations() -> None:
     assert chosen.scores["implicit"].error < 0.5 * chosen.scores["products"].error
     refit = fit_paths(candidates["implicit"], trial(told(), 0))
     assert torch.equal(chosen.posterior.weight, refit.weight)
-    assert chosen.words.startswith("model=implicit: error 0.00") and "\n" not in chosen.words
+    assert chosen.words.startswith("model=implicit: error 0.0") and "\n" not in chosen.words
 
 
 def test_the_simpler_wins_a_tie() -> None:
