@@ -97,21 +97,23 @@ def choose_model(
     """The best of the ``candidates``, as described above.
 
     transition: N rows in order of time, scaled units; episode: int64 ``[N]``, the same number for
-    rows of one episode.  Where blocks are too short for ``seconds``, the windows are as long as a
-    block.  A candidate that cannot be fitted without some block has an infinite error.  Raises
-    ValueError for fewer than ``blocks`` times ``LEAST_ROWS`` valid rows, FitError if no candidate
-    can be fitted.
+    rows of one episode; blocks: at most, of ``LEAST_ROWS`` or more.  Windows are shorter than
+    ``seconds`` where blocks or episodes are too short for as many windows as blocks.  A candidate
+    that cannot be fitted without some block has an infinite error.  Raises ValueError for fewer
+    valid rows than two blocks have, FitError if no candidate can be fitted.
     """
     data, episode = usable(transition), _unbroken(transition.valid, episode)
     rows = len(episode)
-    if rows < blocks * LEAST_ROWS:
+    if rows < 2 * LEAST_ROWS:
         raise ValueError(
-            f"transitions: got {rows}, expected at least {blocks * LEAST_ROWS} to choose a model"
-            " (model=auto): more random exploration, or a model by name"
+            f"transitions: got {rows}, expected at least {2 * LEAST_ROWS} to hold some of them out:"
+            " more random exploration"
         )
+    blocks = min(blocks, rows // LEAST_ROWS)
     block = torch.arange(rows) * blocks // rows
     ticks = max(1, min(round(seconds / float(data.dt.mean())), rows // blocks))
-    starts = _starts(episode, block, ticks)
+    while len(starts := _starts(episode, block, ticks)) < blocks:
+        ticks -= 1  # of one tick there are as many as rows
     first = next(iter(candidates.values()))
     zero = torch.zeros(first.allowed.shape, dtype=data.state.dtype)
     errors = {

@@ -100,13 +100,27 @@ def test_windows_keep_to_one_episode_and_one_block(invalid: int | None) -> None:
         assert chosen.scores[name].error == pytest.approx(expected, rel=1e-9)
 
 
-def test_short_blocks_shorten_the_windows() -> None:
+def _first(rows: int) -> tuple[Transition, Tensor]:
     data = _walk(2.0, 0.05)
-    few = Transition(data.state[:12], data.action[:12], data.next_state[:12], data.dt,
-                     data.valid[:12])  # fmt: skip
-    assert choose_model({"poor": _mass(1)}, few, ONE[:12]).seconds == pytest.approx(0.3)
-    with pytest.raises(ValueError, match=r"got 12, expected at least 18 to choose a model"):
-        choose_model({"poor": _mass(1)}, few, ONE[:12], blocks=6)
+    parts = (data.state[:rows], data.action[:rows], data.next_state[:rows])
+    return Transition(*parts, data.dt, data.valid[:rows]), ONE[:rows]
+
+
+@pytest.mark.parametrize(("rows", "seconds"), [(39, 0.5), (12, 0.3), (8, 0.4), (6, 0.3)])
+def test_few_rows_make_short_windows_and_few_blocks(rows: int, seconds: float) -> None:
+    chosen = choose_model({"poor": _mass(1)}, *_first(rows))
+    assert chosen.seconds == pytest.approx(seconds)
+
+
+def test_short_episodes_make_short_windows() -> None:
+    """Twenty episodes of two ticks."""
+    chosen = choose_model({"poor": _mass(1)}, _walk(2.0, 0.05), torch.arange(ROWS) // 2)
+    assert chosen.seconds == pytest.approx(0.2)
+
+
+def test_refuses_too_few_rows() -> None:
+    with pytest.raises(ValueError, match=r"got 5, expected at least 6 to hold some of them out"):
+        choose_model({"poor": _mass(1)}, *_first(5))
 
 
 def test_a_candidate_that_cannot_be_fitted_is_not_chosen() -> None:
