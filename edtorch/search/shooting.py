@@ -19,10 +19,10 @@ class Descent:
     """How a plan is improved.
 
     damping: Levenberg and Marquardt's, in the Hessian of the raw actions, at first; times
-    ``easier`` after a step that lowered the cost, times ``harder`` after none did, and given up
-    above ``most``.  Steps of 1, ``shorter``, shorter^2, ... are tried, ``tries`` of them.  largest:
-    of a raw action.  It ends after ``limit`` iterations, or when the cost changes by less than
-    ``tolerance`` of itself.
+    ``easier`` after an iteration that lowered the cost, times ``harder`` after one that hardly did
+    (by less than ``tolerance`` of it), and given up above ``most``.  Of the steps 1, ``shorter``,
+    shorter^2, ..., ``tries`` of them, the first is taken that is better than the next.  largest: of
+    a raw action.  It ends after ``limit`` iterations, or when a whole step hardly lowers the cost.
     """
 
     damping: float = 1e-3

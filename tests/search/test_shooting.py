@@ -183,11 +183,24 @@ def test_compiled_it_computes_what_it_says() -> None:
         np.testing.assert_allclose(python, compiled, rtol=1e-9, atol=1e-9)
 
 
+def _swings_up(plan: Plan) -> bool:
+    """Whether the tip is within .25 m of upright throughout the last second."""
+    return bool((tip_error(plan.state[-10:]) < 0.25).all())
+
+
+@pytest.mark.experiment
+def test_nearly_every_start_swings_the_pole_up() -> None:
+    """All 12 where this was written; what a search finds may depend on the last digit."""
+    model = swing_up()
+    cost = swing_up_cost(model)
+    plans = shoot(model, cost, _waves(model, cost, 12)).plans
+    assert sum(map(_swings_up, plans)) >= 10
+
+
 @pytest.mark.experiment
 def test_lines_swing_the_pole_up() -> None:
     model = swing_up()
     cost = swing_up_cost(model)
     generator = np.random.default_rng(0)
     straight = lines(model.structure, HANGING, np.zeros(4), 40, 1, model.dt, generator)
-    for plan in connect(model, cost, straight).plans:
-        assert plan.cost < 0.3 and (tip_error(plan.state[30:]) < 0.25).all()
+    assert all(map(_swings_up, connect(model, cost, straight).plans))

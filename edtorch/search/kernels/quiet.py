@@ -53,8 +53,8 @@ def quieten(expansion, settings, gain, covariance, noise, process):
         ahead_hessian = hessian[ticks].copy()
         for t in range(ticks - 1, -1, -1):
             ahead[:] = 0.0
-            quadratic(t, expansion, ahead, ahead_hessian, damping, q)
-            copy_table(factors, q[4])
+            quadratic(t, expansion, ahead, ahead_hessian, q)
+            damp(q[4], damping, factors)
             factorise(factors, pivot)
             for i in range(n):
                 for j in range(n):

@@ -81,9 +81,9 @@ def sum_of_gaps(gap):
 
 
 @outer
-def quadratic(t, expansion, ahead, ahead_hessian, damping, q):
-    """q: tuple of gradient and Hessian in (s, z) of the cost from tick t on, Levenberg and
-    Marquardt's ``damping`` added in z; room for Vxx' A is its last part."""
+def quadratic(t, expansion, ahead, ahead_hessian, q):
+    """q: tuple of gradient and Hessian in (s, z) of the cost from tick t on, and room for Vxx
+    times the Jacobians."""
     by_state, by_raw, gradient, hessian, raw_gradient, raw_hessian = expansion
     q_state, q_raw, q_states, q_cross, q_raws, moved = q
     n, m = by_raw.shape[1], by_raw.shape[2]
@@ -115,7 +115,7 @@ def quadratic(t, expansion, ahead, ahead_hessian, damping, q):
             for k in range(n):
                 q_cross[i, j] += by_raw[t, k, i] * moved[k, j]
         for j in range(m):
-            q_raws[i, j] = damping + raw_hessian[t, i] if i == j else 0.0
+            q_raws[i, j] = raw_hessian[t, i] if i == j else 0.0
             for k in range(n):
                 q_raws[i, j] += by_raw[t, k, i] * moved[k, n + j]
 
@@ -156,8 +156,17 @@ def valued(q, feed, gain, ahead, ahead_hessian):
 
 
 @outer
+def damp(matrix, damping, out):
+    """out = matrix + damping I."""
+    copy_table(out, matrix)
+    for i in range(len(out)):
+        out[i, i] += damping
+
+
+@outer
 def backward(expansion, gap, damping, feed, gain):
-    """feed, gain: the best linear change of the raw actions, from the last tick to the first.
+    """feed, gain: the best linear change of the raw actions, from the last tick to the first, with
+    Levenberg and Marquardt's ``damping``.
 
     The gradient of the cost to go is moved across the gap: Vx + Vxx gap.  Returns whether all of it
     is finite.
@@ -172,8 +181,8 @@ def backward(expansion, gap, damping, feed, gain):
             moved[i] = ahead[i]
             for j in range(n):
                 moved[i] += ahead_hessian[i, j] * gap[t, j]
-        quadratic(t, expansion, moved, ahead_hessian, damping, q)
-        copy_table(factors, q[4])
+        quadratic(t, expansion, moved, ahead_hessian, q)
+        damp(q[4], damping, factors)
         factorise(factors, pivot)
         for j in range(m):
             column[j] = q[1][j]
@@ -193,6 +202,30 @@ def backward(expansion, gap, damping, feed, gain):
 
 
 @outer
+def search_step(problem, settings, plan, feed, gap, lowest, open_gaps, best, new):
+    """Try steps from the longest on, until one is no better than the one before it.
+
+    problem: tuple (model, weight, cost, bounds); best, new: tuples (state, raw); best is written.
+    Returns the merit and the step, which is 0 where none is below ``lowest``.  The first step that
+    is better would do, but the search would creep, and end where steps are small.
+    """
+    model, weight, cost, bounds = problem
+    shorter, tries, largest = settings
+    step, found = 1.0, 0.0
+    for _ in range(tries):
+        merit = follow(model, weight, cost, bounds, largest, plan, feed, gap, step, new)
+        merit += (1 - step) * open_gaps
+        if merit < lowest:
+            lowest, found = merit, step
+            copy_table(best[0], new[0])
+            copy_table(best[1], new[1])
+        elif found > 0.0:
+            break
+        step *= shorter
+    return lowest, found
+
+
+@outer
 def descend(model, weight, cost, bounds, settings, state, raw, gain, gap, per_gap):
     """Improve states and raw actions in place until nothing better is found; the merit is the cost
     and ``per_gap`` times the gaps.  Returns the merit and the number of iterations."""
@@ -207,36 +240,35 @@ def descend(model, weight, cost, bounds, settings, state, raw, gain, gap, per_ga
         np.zeros((ticks, m)),
         np.zeros((ticks, m)),
     )
-    plan = state, raw, gain
-    feed, new, ignored = np.zeros((ticks, m)), (state.copy(), raw.copy()), gap.copy()
+    problem, plan, steps = (
+        (model, weight, cost, bounds),
+        (state, raw, gain),
+        (shorter, tries, largest),
+    )
+    best, new = (state.copy(), raw.copy()), (state.copy(), raw.copy())
+    feed, ignored = np.zeros((ticks, m)), gap.copy()
     total = cost_along(model, cost, state, raw) + per_gap * sum_of_gaps(gap)
-    damping, fresh, count = least, True, 0
+    damping, moved, count = least, True, 0
     while count < limit and damping <= most and math.isfinite(total):
-        if fresh:
+        if moved:
             expand(model, weight, cost, bounds, state, raw, expansion, ignored)
         count += 1
-        better, step, fresh = False, 1.0, False
+        merit, step = total, 0.0
         if backward(expansion, gap, damping, feed, gain):
             open_gaps = per_gap * sum_of_gaps(gap)
-            for _ in range(tries):
-                found = follow(model, weight, cost, bounds, largest, plan, feed, gap, step, new)
-                found += (1 - step) * open_gaps
-                if found < total:
-                    better = True
-                    break
-                step *= shorter
-        if not better:
-            damping *= harder
+            merit, step = search_step(problem, steps, plan, feed, gap, total, open_gaps, best, new)
+        moved = step > 0.0
+        hardly = total - merit <= tolerance * abs(merit)
+        damping = damping * harder if hardly else max(damping * easier, 1e-3 * least)
+        if not moved:
             continue
-        copy_table(state, new[0])
-        copy_table(raw, new[1])
+        total = merit
+        copy_table(state, best[0])
+        copy_table(raw, best[1])
         for t in range(ticks):
             for i in range(n):
                 gap[t, i] *= 1 - step
-        damping, fresh = max(damping * easier, 1e-3 * least), True
-        done = total - found <= tolerance * abs(found)
-        total = found
-        if done:
+        if hardly and step == 1.0:
             break
     # The gains of the plan are those of its own expansion, lightly damped.
     expand(model, weight, cost, bounds, state, raw, expansion, ignored)
