@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import interleaved, print_table, write_json
-from edtorch.search.imagination import imagine
+from edtorch.search.imagination import Futures, imagine
 from edtorch.search.quiet import quiet_gains
 from edtorch.search.shooting import connect, shoot
 from edtorch.search.starts import lines, sinusoids
@@ -44,7 +44,9 @@ def main() -> None:
             "single": lambda: shoot(model, cost, waves),
             "multiple": lambda: connect(model, cost, straight),
             "gains": lambda: quiet_gains(model, cost, plan, 100 * small, small),
-            "imagined": lambda: imagine(model, cost, plan, weight, HANGING + spread, noise),
+            "imagined": lambda: imagine(
+                model, cost, plan, Futures(weight, HANGING + spread, noise)
+            ),
         },
         rounds=options.rounds,
         patience=30.0,

@@ -111,7 +111,7 @@ def build_told(config: Settings, world: World) -> Told:
 def build_problem(config: Settings, world: World) -> tuple[TrialSearch, Problem, Told]:
     """The search and its problem in a world.  Raises ConfigError, which names the key."""
     told = build_told(config, world)
-    search = construct("search", config.search, "improve", "policy")
+    search = construct("search", config.search, "improve", "actor")
     model = construct("model", config.model, "structures")
     fit = construct("fit", config.fit, "learn")
     with under("model"):
@@ -169,7 +169,7 @@ def build_planned(config: Settings) -> PlannedSetup:
     search, problem, told = build_problem(config, world)
     seeds = [config.seed + k for k in range(config.seeds)]
     with under("search"):
-        actor, _ = search.policy(problem)
+        actor, _ = search.actor(problem)
     budget = given_budget(config.train) or Budget(episodes=10)
     check_ticks(budget, world.dt)
     first = min(world.limit_ticks * world.dt, search.random or math.inf)

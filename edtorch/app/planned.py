@@ -70,7 +70,7 @@ class PlannedLearners(Work):
         self._seeds = [_Seed(Knowledge()) for _ in setup.seeds]
         self._episodes: list[Episode] = []
         self._fresh: list[list[Episode]] = []
-        actor, memory = setup.search.policy(setup.problem)
+        actor, memory = setup.search.actor(setup.problem)
         self.actor, self.observer = actor, memory
         self._parameters: Parameters = setup.initial
         self.domain = described(setup.world)

@@ -15,22 +15,10 @@ import torch
 from torch import Tensor
 
 from edtorch.model.evidence import Posterior
-from edtorch.search.imagination import imagine
-from edtorch.search.plan import Cost, Plan
-from edtorch.search.tick_model import TickModel
+from edtorch.search.imagination import Futures, Imagined
 
 ROUNDED = 20
 """Successes are compared in steps of 1 / 20: what differs by less is no difference."""
-
-
-@dataclass(frozen=True)
-class Futures:
-    """P possible courses: weights of the model ``[P, L, K]``, starts ``[P, n]``, errors of readings
-    ``[P, H, n]``."""
-
-    weight: np.ndarray
-    start: np.ndarray
-    noise: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -62,19 +50,12 @@ def drawn(
     return Futures(weight.numpy(), starts[torch.from_numpy(which)].numpy(), noise_of)
 
 
-def choose(
-    model: TickModel,
-    cost: Cost,
-    candidates: Sequence[Plan],
-    futures: Futures,
-    judge: Callable[[Tensor], Tensor] | None,
-) -> Choice:
+def choose(candidates: Sequence[Imagined], judge: Callable[[Tensor], Tensor] | None) -> Choice:
     """The candidate with the most successes, the least mean cost at a tie; without ``judge``, of
     true states ``[P, H + 1, n]``, the least mean cost alone.  A future that is not finite is no
     success, and costs as much as the dearest that is."""
     found = []
-    for place, plan in enumerate(candidates):
-        imagined = imagine(model, cost, plan, futures.weight, futures.start, futures.noise)
+    for place, imagined in enumerate(candidates):
         finite = imagined.finite
         dearest = imagined.cost[finite].max(initial=0.0)
         mean = float(np.where(finite, imagined.cost, dearest).mean()) if finite.any() else np.inf

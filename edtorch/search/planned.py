@@ -3,7 +3,7 @@ plans by what the uncertainty of the model leaves of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,22 +12,25 @@ import torch
 from torch import Tensor
 
 from edtorch.errors import NoPlan
-from edtorch.learner.clock import Clock
 from edtorch.learner.observer import Memory
 from edtorch.policy.policies import Policy
-from edtorch.policy.squash import Squash, wrapped
-from edtorch.policy.timed import TimedPolicy
+from edtorch.policy.squash import wrapped
 from edtorch.search.choice import choose, drawn
+from edtorch.search.execution import Execution
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.plan import Cost, Plan, ramp
 from edtorch.search.problem import Improvement, Left, Problem
 from edtorch.search.quiet import quiet_gains
 from edtorch.search.segments import plan_through
 from edtorch.search.starts import lines, sinusoids, still
+from edtorch.search.stationary import Stationary
 from edtorch.search.target import mean_start
 from edtorch.search.tick_model import TickModel
+from edtorch.search.timed import Timed
 from edtorch.seeding import Purpose, stream_key
 from edtorch.types import Parameters
+
+EXECUTIONS: Mapping[str, Execution] = {"timed": Timed(), "stationary": Stationary()}
 
 
 @dataclass(frozen=True)
@@ -35,10 +38,12 @@ class PlannedSearch:
     """Plans from the mean start, by single shooting from ``starts`` swinging actions and the last
     plans, and by multiple shooting from ``straight`` lines to the target.
 
-    random: seconds of the first trial, whose actions are random, None: a whole one.
+    policy: what carries a plan out, ``timed`` (``edtorch.search.timed``) or ``stationary``, which
+    goes on after it (``edtorch.search.stationary``).  random: seconds of the first trial, whose
+    actions are random; horizon: of a plan; both None for those of a trial.
     ramp: seconds for which weights grow as (t / ramp)^power, and for which a plan is made first; it
-    then goes on to the end of the trial in segments of constant weights.  None: the whole trial is
-    one.  squash: see ``edtorch.search.plan.Cost``.
+    then goes on to its horizon in segments of constant weights.  None: the horizon.  squash: see
+    ``edtorch.search.plan.Cost``.
     gains: ``plain`` ones of the plan, those for noisy readings (``covariance``), or the better of
     ``both``.  keep: plans with the least cost that are imagined ``draws`` times each, with models
     drawn from the posterior, its deviations times ``inflation``, and held; that with the most
@@ -46,7 +51,9 @@ class PlannedSearch:
     is given up, None: never.  substeps: of Runge and Kutta's method in a tick.
     """
 
+    policy: Literal["timed", "stationary"] = "timed"
     random: float | None = None
+    horizon: float | None = None
     ramp: float | None = None
     power: float = 4.0
     squash: float = 1e-3
@@ -72,9 +79,11 @@ class PlannedSearch:
                 raise ValueError(f"{name}={value}: expected an integer >= {least}")
         if not self.starts + self.straight:
             raise ValueError("starts=0, straight=0: expected one of them above 0")
+        if self.policy not in EXECUTIONS:
+            raise ValueError(f"policy={self.policy}: expected one of {', '.join(EXECUTIONS)}")
         if self.substeps < 1:
             raise ValueError(f"substeps={self.substeps}: expected an integer >= 1")
-        for name in ("random", "ramp", "abort"):
+        for name in ("random", "horizon", "ramp", "abort"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name}={value}: expected a number > 0, or null")
@@ -83,23 +92,16 @@ class PlannedSearch:
             if not value >= 0:
                 raise ValueError(f"{name}={value}: expected a number >= 0")
 
-    def policy(self, problem: Problem) -> tuple[Policy, Memory | None]:
-        """See ``TrialSearch``: a policy of plans, with a clock."""
-        self._opening(problem)
-        squash = Squash(problem.middle, problem.half)
-        return TimedPolicy(problem.ticks, squash, problem.period), Clock()
+    def actor(self, problem: Problem) -> tuple[Policy, Memory | None]:
+        """See ``TrialSearch``."""
+        horizon, _ = self._ticks(problem)
+        return EXECUTIONS[self.policy].actor(problem, horizon)
 
     def left(self, problem: Problem, parameters: Parameters) -> Left | None:
         """See ``TrialSearch``."""
-        limit, planned = self.abort, parameters["state"]
-        if limit is None:
+        if self.abort is None:
             return None
-
-        def left(tick: int, readings: Tensor) -> Tensor:
-            at = min(tick, planned.shape[1] - 1)
-            return wrapped(readings - planned[:, at], problem.period).norm(dim=-1) > limit
-
-        return left
+        return EXECUTIONS[self.policy].left(problem, parameters, self.abort)
 
     def improve(self, problem: Problem, knowledge: Knowledge, seed: int, trial: int) -> Improvement:
         """See ``TrialSearch``."""
@@ -113,8 +115,10 @@ class PlannedSearch:
             problem.half.numpy(),
             self.substeps,
         )
-        weight = ramp(problem.ticks, self.power, self._opening(problem))
-        cost = Cost(problem.rows, weight, problem.action, self.squash)
+        horizon, opening = self._ticks(problem)
+        weight = ramp(problem.ticks, self.power, opening)
+        whole = Cost(problem.rows, weight, problem.action, self.squash)
+        cost = whole.part(0, horizon)
         starts = problem.starts(seed)
         generator = _generator(seed, Purpose.PLAN, trial)
         plans, dropped = self._plans(problem, model, cost, starts, knowledge, generator)
@@ -131,10 +135,11 @@ class PlannedSearch:
             self.inflation,
             _generator(seed, Purpose.POSTERIOR, trial),
         )
-        chosen = choose(model, cost, candidates, futures, problem.judge)
-        plan = candidates[chosen.place]
+        carried = EXECUTIONS[self.policy].carried(problem, model, whole, candidates, futures)
+        chosen = choose([each.imagined for each in carried], problem.judge)
+        plan, parameters = candidates[chosen.place], carried[chosen.place].parameters
         return Improvement(
-            {name: torch.from_numpy(getattr(plan, name)) for name in ("state", "raw", "gain")},
+            {name: torch.from_numpy(value) for name, value in parameters.items()},
             knowledge.with_plan(torch.from_numpy(plan.raw)),
             {
                 "transitions": float(learned.count),
@@ -161,7 +166,8 @@ class PlannedSearch:
     ) -> tuple[list[Plan], int]:
         """Finite plans, the cheapest first, and how many starts came to nothing."""
         start, m = mean_start(starts, problem.period).numpy(), len(problem.half)
-        first, goal, dt = self._opening(problem), problem.goal.numpy(), problem.dt
+        horizon, first = self._ticks(problem)
+        goal, dt = problem.goal[: horizon + 1].numpy(), problem.dt
         swings = sinusoids(start, first, m, dt, self.starts, generator)
         swings += [still(start, raw.numpy()[:first]) for raw in knowledge.plans]
         straight: list[Plan] = []
@@ -169,16 +175,10 @@ class PlannedSearch:
             straight += lines(model.structure, start, goal[first], first, m, dt, generator)
         return plan_through(model, cost, first, swings, straight[: self.straight], goal, self.keep)
 
-    def _opening(self, problem: Problem) -> int:
-        """Ticks of the first segment.  Raises ValueError."""
-        ticks = problem.ticks if self.ramp is None else round(self.ramp / problem.dt)
-        if not 1 <= ticks <= problem.ticks:
-            longest = problem.dt * problem.ticks
-            raise ValueError(
-                f"ramp={self.ramp}: expected seconds from {problem.dt:g} to {longest:g}, the length"
-                " of a trial"
-            )
-        return ticks
+    def _ticks(self, problem: Problem) -> tuple[int, int]:
+        """Of the horizon, and of the first segment.  Raises ValueError."""
+        horizon = _ticks_of("horizon", self.horizon, problem.ticks, problem.dt, "a trial")
+        return horizon, _ticks_of("ramp", self.ramp, horizon, problem.dt, "a plan")
 
     def _candidates(
         self,
@@ -204,3 +204,12 @@ class PlannedSearch:
 def _generator(seed: int, purpose: Purpose, trial: int) -> np.random.Generator:
     key = np.array(stream_key(seed, purpose, trial), dtype=np.uint64)
     return np.random.Generator(np.random.Philox(key=key))
+
+
+def _ticks_of(name: str, seconds: float | None, most: int, dt: float, of: str) -> int:
+    ticks = most if seconds is None else round(seconds / dt)
+    if not 1 <= ticks <= most:
+        raise ValueError(
+            f"{name}={seconds}: expected seconds from {dt:g} to {dt * most:g}, the length of {of}"
+        )
+    return ticks

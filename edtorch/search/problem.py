@@ -74,7 +74,7 @@ class TrialSearch(Protocol):
     random: float | None
     figures: tuple[str, ...]
 
-    def policy(self, problem: Problem) -> tuple[Policy, Memory | None]:
+    def actor(self, problem: Problem) -> tuple[Policy, Memory | None]:
         """Who acts by the parameters of an improvement, and what goes with it."""
         ...
 

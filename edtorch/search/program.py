@@ -32,6 +32,7 @@ def _entries() -> dict[str, tuple[object, ...]]:
     problem = (model, two, cost, bounds)
     settings = (0.1, 0.1, 0.1, 0.1, 0.1, 1, 0.1, 1, 0.1)
     expansion, plan = (three, three, two, three, two, two), (two, two, three)
+    knots = (two, two, three, one, one, 0.1)
     room = (one, one, two, two, two, index, one, two, one, two, three)
     return {
         "room_for": (1, 1, model),
@@ -43,6 +44,7 @@ def _entries() -> dict[str, tuple[object, ...]]:
         "descend": (*problem, settings, two, two, three, two, 0.1),
         "quieten": (expansion, (0.1, 1, 0.1), three, three, two, two),
         "imagine": (model, three, cost, bounds, plan, two, three, three, one),
+        "imagine_knots": (model, three, cost, bounds, knots, two, three, three, one),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -93,8 +94,23 @@ def test_a_tip_follows_a_wave_after_seconds() -> None:
     small = ("search.starts=4", "search.keep=2", "search.draws=20", "eval.episodes=20")
     run = edtorch.learn(preset="cartpole_tracking", overrides=small, progress=False)
     assert run.summary["seconds_to_solved"]["max"] <= 14
-    assert run.evaluate(20)["tip_rms_m"][0] <= 0.03
+    assert (run.evaluate(20)["tip_rms_m"][0] or 1) <= 0.03
     assert run.episodes[0]["seconds"] == pytest.approx(4)
+
+
+@pytest.mark.experiment
+def test_a_stationary_policy_holds_for_longer_than_its_plan(tmp_path: Path) -> None:
+    longer = ("domain.sim.time_limit=8", "search.horizon=4", "search.random=4")
+    run = edtorch.learn(
+        preset="pendulum_swingup",
+        overrides=[*SMALL[1:], "search.policy=stationary", *longer],
+        progress=False,
+    )
+    assert run.summary["seconds_to_solved"]["max"] <= 20
+    assert run.episodes[0]["seconds"] == pytest.approx(4)
+    again = edtorch.load(run.save(tmp_path / "pendulum"))
+    assert again.evaluate(10) == run.evaluate(10)
+    assert not again.policies[0].remembers
 
 
 @pytest.mark.parametrize(
@@ -119,7 +135,17 @@ def test_when_a_task_counts_as_solved(
         (["search.starts=0"], "search.starts=0, straight=0: expected one of them above 0"),
         (
             ["search.ramp=5"],
-            "search.ramp=5.0: expected seconds from 0.1 to 4, the length of a trial",
+            "search.ramp=5.0: expected seconds from 0.1 to 4, the length of a plan",
+        ),
+        (
+            ["search.horizon=2"],
+            "search.horizon=2: expected the length of a trial, 4 s, with policy=timed",
+        ),
+        (["search.horizon=5"], "search.horizon=5.0: expected seconds from 0.1 to 4, the length of"),
+        (["search.policy=linear"], "search.policy=linear: expected one of timed, stationary"),
+        (
+            ["search.policy=stationary", "reward.rows=[{rate: 1, reference: [1, 2]}]"],
+            "search.policy=stationary: expected a reward without a reference",
         ),
         (["search.abort=-1"], "search.abort=-1.0: expected a number > 0, or null"),
         (["search.gains=best"], "search.gains=best: expected one of plain, covariance, both"),

@@ -35,16 +35,18 @@ PENDULUM = (
     *("experiment=regulation", "domain=gymnasium", "domain.env_id=Pendulum-v1", "domain.dt=0.05"),
     *("train.seconds=25", "seeds=2", "eval.episodes=1", "compute.native=off", *QUIET),
 )
+PLANNED = (
+    *("experiment=pendulum_swingup", "seeds=2", "train.episodes=4", "eval.episodes=5"),
+    *("+eval.solved.mean_return=1000", "search.starts=2", "search.draws=10", *QUIET),
+)
 KINDS = {
     "linear": (*LINEAR, "eval.minutes=[0.5]", "eval.keep=1"),
     "uncompiled": (*BICYCLE, "compute.native=off", "eval.minutes=[0.1]"),
     "compiled": (*BICYCLE, "eval.minutes=[0.1]"),
     "recorded": (*BICYCLE, "log.transitions=true"),
     "Gymnasium": PENDULUM,
-    "planned": (
-        *("experiment=pendulum_swingup", "seeds=2", "train.episodes=4", "eval.episodes=5"),
-        *("+eval.solved.mean_return=1000", "search.starts=2", "search.draws=10", *QUIET),
-    ),
+    "planned": PLANNED,
+    "stationary": (*PLANNED, "search.policy=stationary", "search.horizon=3"),
     "rival": (
         *("experiment=bicycle_adaptive_lqr", "seeds=1", "train.seconds=12", "rival.piece=2"),
         *("train.until=null", "eval.episodes=1", "domain.time_limit=10", *QUIET),

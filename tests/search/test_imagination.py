@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edtorch.search.imagination import imagine
+from edtorch.search.imagination import Futures, imagine
 from edtorch.search.plan import Cost, Plan
 from edtorch.search.shooting import Descent, shoot
 from edtorch.search.starts import sinusoids
@@ -24,7 +24,7 @@ def _planned() -> tuple[TickModel, Cost, Plan]:
 def test_with_the_true_weights_and_no_noise_it_is_the_plan() -> None:
     model, cost, plan = _planned()
     weight, start = np.tile(model.weight, (2, 1, 1)), np.tile(HANGING, (2, 1))
-    imagined = imagine(model, cost, plan, weight, start, np.zeros((2, 40, 4)))
+    imagined = imagine(model, cost, plan, Futures(weight, start, np.zeros((2, 40, 4))))
     assert imagined.finite.all()
     np.testing.assert_array_equal(imagined.state, np.stack([plan.state, plan.state]))
     np.testing.assert_allclose(imagined.cost, plan.cost, rtol=1e-12)
@@ -38,7 +38,7 @@ def test_each_has_its_weights_start_and_noise() -> None:
     start = HANGING + 0.1 * generator.standard_normal((3, 4))
     start[1, 2] -= 2 * np.pi
     noise = 0.01 * generator.standard_normal((3, 40, 4))
-    imagined = imagine(model, cost, plan, weight, start, noise)
+    imagined = imagine(model, cost, plan, Futures(weight, start, noise))
     for p in range(3):
         state = start[p]
         for t in range(40):
@@ -53,7 +53,7 @@ def test_one_that_is_not_finite_is_flagged() -> None:
     model, cost, plan = _planned()
     weight = np.stack([model.weight, np.full_like(model.weight, 1e200)])
     start, noise = np.tile(HANGING, (2, 1)), np.zeros((2, 40, 4))
-    imagined = imagine(model, cost, plan, weight, start, noise)
+    imagined = imagine(model, cost, plan, Futures(weight, start, noise))
     assert imagined.finite.tolist() == [True, False] and np.isinf(imagined.cost[1])
     assert np.isfinite(imagined.state[0]).all() and np.isnan(imagined.state[1, -1]).all()
 
@@ -62,4 +62,4 @@ def test_what_does_not_fit_is_named() -> None:
     model, cost, plan = _planned()
     weight, start = np.tile(model.weight, (2, 1, 1)), np.tile(HANGING, (2, 1))
     with pytest.raises(ValueError, match=r"noise: shape \(2, 41, 4\): expected \(2, 40, 4\)"):
-        imagine(model, cost, plan, weight, start, np.zeros((2, 41, 4)))
+        imagine(model, cost, plan, Futures(weight, start, np.zeros((2, 41, 4))))

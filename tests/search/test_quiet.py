@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edtorch.search.imagination import imagine
+from edtorch.search.imagination import Futures, imagine
 from edtorch.search.plan import Plan
 from edtorch.search.quiet import quiet_gains
 from edtorch.search.shooting import Descent, shoot
@@ -41,7 +41,7 @@ def test_on_a_linear_system_they_cost_less(push: tuple[float, ...]) -> None:
     weight = np.tile(model.weight, (500, 1, 1))
 
     def paid(which: Plan) -> np.ndarray:
-        return imagine(model, cost, which, weight, first, read).cost
+        return imagine(model, cost, which, Futures(weight, first, read)).cost
 
     saved = paid(plan) - paid(quiet)
     assert saved.mean() > 5 * saved.std() / np.sqrt(500)
