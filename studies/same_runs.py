@@ -12,7 +12,8 @@ import torch
 from safetensors.torch import load_file
 
 TIMES = frozenset(
-    "wall_s cpu_s startup_s eval_s figures_s ticks_per_cpu_s compile_cpu_s steps_per_cpu_s".split()
+    "wall_s cpu_s cpu_s_of_trial startup_s eval_s figures_s ticks_per_cpu_s compile_cpu_s"
+    " steps_per_cpu_s".split()
 )
 ABOUT = frozenset(("command", "versions"))
 
