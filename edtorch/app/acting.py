@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import Memory
+from edtorch.learner.observer import EpisodeMemory
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters, Transition
 
@@ -32,7 +32,7 @@ class LearnedPolicy:
         world: World,
         actor: Actor,
         parameters: Parameters,
-        observer: Memory | None = None,
+        observer: EpisodeMemory | None = None,
     ) -> None:
         self.parameters = parameters
         self._world = world
@@ -94,7 +94,7 @@ class LearnedPolicy:
             self._before, self._action = now, action
         return world.physical(action)
 
-    def _estimate(self, observer: Memory, parameters: Parameters, now: Tensor) -> Tensor:
+    def _estimate(self, observer: EpisodeMemory, parameters: Parameters, now: Tensor) -> Tensor:
         if self._memory is None or self._before is None or self._action is None:
             self._memory = observer.initial(now)
         else:

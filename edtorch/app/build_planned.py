@@ -28,12 +28,12 @@ from edtorch.run.episodes import Budget
 from edtorch.run.policy_file import PolicyCard
 from edtorch.run.scaled_sim import World
 from edtorch.run.trial import look_at_starts
-from edtorch.search.problem import Problem, TrialSearch
+from edtorch.search.problem import SearchProblem, TrialSearch
 from edtorch.search.target import wanted_states
 from edtorch.types import Parameters
 from sims.base import JudgesStates
 
-STARTS = 100
+STARTS_SEEN = 100
 """Starts that are looked at, to plan from their mean and to imagine from them."""
 
 
@@ -67,7 +67,7 @@ class PlannedSetup:
 
     name: str
     search: TrialSearch
-    problem: Problem
+    problem: SearchProblem
     world: World
     calm: Callable[[], World]
     seeds: list[int]
@@ -86,7 +86,8 @@ class PlannedSetup:
         """Seconds of a trial at most, by its number."""
         whole = self.ticks * self.world.dt
         first = self.search.random
-        return whole if number or first is None else min(first, whole)
+        random = number < self.search.random_trials
+        return min(first, whole) if random and first is not None else whole
 
 
 def is_planned(config: Settings) -> bool:
@@ -108,7 +109,7 @@ def build_told(config: Settings, world: World) -> Told:
         )
 
 
-def build_problem(config: Settings, world: World) -> tuple[TrialSearch, Problem, Told]:
+def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchProblem, Told]:
     """The search and its problem in a world.  Raises ConfigError, which names the key."""
     told = build_told(config, world)
     search = construct("search", config.search, "improve", "actor")
@@ -124,16 +125,18 @@ def build_problem(config: Settings, world: World) -> tuple[TrialSearch, Problem,
         squares, action = squares_of(world.reward, first.lift, ticks)
     rows = squares.numpy()
     noise = build_deviations(config.observation, world) if config.observation.noise else None
-    problem = Problem(
+    problem = SearchProblem(
+        names=[q.name for q in world.spec.state],
+        scale=torch.tensor([q.scale for q in world.spec.state], dtype=torch.float64),
         structures=structures,
         learn=lambda transitions, trial: fit.learn(structures, transitions, trial),
         rows=rows,
         action=(action * world.action_half_range**2).numpy(),
         middle=world.action_middle,
         half=world.action_half_range,
-        period=world.period,
+        period=first.period,
         dt=world.dt,
-        starts=lambda seed: look_at_starts(world, seed, STARTS),
+        starts=lambda seed: look_at_starts(world, seed, STARTS_SEEN),
         judge=_judge(world),
         noise=noise,
         goal=wanted_states(first, rows, world.dt),
@@ -228,6 +231,9 @@ def _solved(config: Settings) -> Solved:
     rate, mean_return = asked.pop("rate", None), asked.pop("mean_return", None)
     for name, value in asked.items():
         raise ConfigError(f"eval.solved.{name}={value}: expected rate or mean_return")
+    for name, value in (("rate", rate), ("mean_return", mean_return)):
+        if isinstance(value, bool) or not isinstance(value, int | float | None):
+            raise ConfigError(f"eval.solved.{name}={value}: expected a number, or null")
     if rate is not None:
         positive("eval.solved.rate", rate)
         if rate > 1:

@@ -243,7 +243,7 @@ class EvalGroup:
     minutes: Sequence[float] = ()
     domain: Mapping[str, Any] = _empty()
     success_return: float | None = None
-    solved: Mapping[str, float] = _empty()
+    solved: Mapping[str, Any] = _empty()
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from edtorch.app.acting import LearnedPolicy
 from edtorch.app.best import score
 from edtorch.app.domain import described, measured
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import Memory
+from edtorch.learner.observer import EpisodeMemory
 from edtorch.native.evaluation import Mode, evaluate_policies
 from edtorch.report.statistics import by_row
 from edtorch.run.episodes import Episode
@@ -52,7 +52,7 @@ class Run:
         seeds: Sequence[int],
         actor: Actor,
         parameters: Parameters,
-        observer: Memory | None,
+        observer: EpisodeMemory | None,
         world: Callable[[], World],
         records: Sequence[Episode],
         summary: dict[str, Any],

@@ -22,7 +22,7 @@ from edtorch.app.summary import result_figures, summary_table
 from edtorch.errors import FitError, NonFiniteError, NoPlan
 from edtorch.native.evaluation import evaluate_policies
 from edtorch.report.animation import save_animation
-from edtorch.report.experience import Experience, experience_curve, median_seconds
+from edtorch.report.experience import SeedExperience, experience_curve, median_seconds
 from edtorch.report.figures import save_figure
 from edtorch.run.episodes import Episode, episodes_of, episodes_state, nested_of, nested_state
 from edtorch.run.evaluation import Frozen, evaluate
@@ -158,14 +158,17 @@ class PlannedLearners(Work):
         setup, world = self._setup, self._world
         ticks = round(setup.length(number) / world.dt)
         found: dict[int, Trial | None] = {}
-        # A row without a plan acts at random: all of them in the first trial.
+        # A row without a plan acts at random: all of them in the first trials.
+        first = number < setup.search.random_trials
         for planned in (False, True):
-            group = [row for row in rows if self._seeds[row].planned == planned]
+            group = [row for row in rows if (self._seeds[row].planned and not first) == planned]
             if not group:
                 continue
             seeds = [setup.seeds[row] for row in group]
             own = {name: p[group] for name, p in self._parameters.items()}
-            source: Source[Any] = RandomActions(setup.problem.middle, setup.problem.half)
+            source: Source[Any] = RandomActions(
+                setup.problem.middle, setup.search.random_size * setup.problem.half
+            )
             left = None
             if planned:
                 source = Frozen(self.actor, own, self.observer)
@@ -311,7 +314,7 @@ class PlannedLearners(Work):
         """``learning_curve.png``: success against experience; an animation of the first policy
         that has solved its task, in a fresh episode."""
         found = [
-            Experience(
+            SeedExperience(
                 seed.seconds_after, seed.rates, math.inf if seed.solved is None else seed.solved
             )
             for seed in self._seeds

@@ -8,11 +8,11 @@ from torch import Tensor
 from edtorch.types import Parameters, Transition, select
 
 
-class Clock:
+class EpisodeClock:
     """Appends the ticks since the start of the episode to an observation: ``[B, n] -> [B, n + 1]``.
 
     Its memory: ``ticks`` ``[B]``, in the type of the observation (``edtorch.learner.observer.
-    Memory``).
+    EpisodeMemory``).
     """
 
     def initial(self, observation: Tensor, /) -> Parameters:

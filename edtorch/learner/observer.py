@@ -19,7 +19,7 @@ from edtorch.policy.policies import bounded
 from edtorch.types import Belief, Parameters, Transition, replace, select
 
 
-class Memory(Protocol):
+class EpisodeMemory(Protocol):
     """What acts with a frozen policy: it turns observations into what the policy takes.
 
     What it keeps of an episode is a mapping of tensors ``[B, ...]``; parameters: those of the

@@ -10,16 +10,16 @@ from typing import Literal
 from torch import Tensor
 
 from edtorch.model.evidence import Evidence, Posterior, ard, ridge
-from edtorch.model.held_out import choose_model
+from edtorch.model.held_out import ModelChoice, choose_model
 from edtorch.model.mechanism import Structure, runge_kutta
-from edtorch.model.path_fit import fit_paths, usable
+from edtorch.model.path_fit import LEAST_ROWS, fit_paths, usable
 from edtorch.types import Transition
 
 PRIORS: Mapping[str, Evidence] = {"ard": ard, "ridge": ridge}
 
 
 @dataclass(frozen=True)
-class Learned:
+class LearnedModel:
     """name: of the structure; reading_noise ``[n]``: standard deviations of the errors of readings,
     scaled, from what is left of the changes in a tick; error: root of the mean square of those, in
     all components; count: transitions used; notes: for people."""
@@ -49,27 +49,38 @@ class PathFit:
 
     def learn(
         self, structures: Mapping[str, Structure], transition: Transition, episode: Tensor
-    ) -> Learned:
+    ) -> LearnedModel:
         """The posterior of the structure that predicts held-out data best, from rows in order of
-        time and the number ``[N]`` of the episode of each.
+        time and the number ``[N]`` of the episode of each.  One structure is fitted to rows that
+        are too few to hold some out.
 
         Errors as of ``edtorch.model.held_out.choose_model``.
         """
         fit = partial(fit_paths, passes=self.passes, evidence=PRIORS[self.prior])
-        choice = choose_model(structures, transition, episode, fit=fit)
-        posterior = choice.posterior
-        left = one_tick_errors(choice.structure, posterior.weight, transition)
+        notes: list[str] = []
+        if len(structures) == 1 and int(transition.valid.sum()) < 2 * LEAST_ROWS:
+            ((name, structure),) = structures.items()
+            posterior = fit(structure, transition)
+        else:
+            choice = choose_model(structures, transition, episode, fit=fit)
+            name, structure, posterior = choice.name, choice.structure, choice.posterior
+            notes = _notes(choice, told=len(structures) > 1)
+        left = one_tick_errors(structure, posterior.weight, transition)
         # Of two readings each, so that a difference has twice the variance of an error; the median
         # of |x| is .674 of a normal standard deviation.
         noise = 1.483 * left.abs().median(0).values / 2**0.5
         error = float(left.square().mean().sqrt())
-        notes = [choice.words] if len(structures) > 1 else []
-        if not choice.better_than_constant:
-            notes.append(
-                f"{choice.words}: no better than a constant; more random exploration may help"
-                " (search.random, a longer trial)"
-            )
-        return Learned(choice.name, posterior, noise, error, len(left), tuple(notes))
+        return LearnedModel(name, posterior, noise, error, len(left), tuple(notes))
+
+
+def _notes(choice: ModelChoice, *, told: bool) -> list[str]:
+    """What to say of a choice; told: also where all is well."""
+    if not choice.better_than_constant:
+        return [
+            f"{choice.words}: no better than a constant; more random exploration may help"
+            " (search.random, search.random_trials)"
+        ]
+    return [choice.words] if told else []
 
 
 def one_tick_errors(structure: Structure, weight: Tensor, transition: Transition) -> Tensor:

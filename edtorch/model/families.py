@@ -16,7 +16,7 @@ def _at_least_one(degree: int) -> None:
 
 
 @dataclass(frozen=True)
-class Implicit:
+class ImplicitModel:
     """Each acceleration linear in the others: the equations of a mechanism (``Terms.implicit``)."""
 
     degree: int = 2
@@ -32,7 +32,7 @@ class Implicit:
 
 
 @dataclass(frozen=True)
-class Products:
+class ProductModel:
     """Accelerations by products of trigonometric terms, rates and actions (``Terms.products``)."""
 
     degree: int = 3
@@ -48,7 +48,7 @@ class Products:
 
 
 @dataclass(frozen=True)
-class Monomials:
+class MonomialModel:
     """Accelerations by all monomials of the lift (``Terms.monomials``): no mechanism is told."""
 
     degree: int = 4
@@ -64,12 +64,12 @@ class Monomials:
 
 
 @dataclass(frozen=True)
-class Auto:
+class BestModel:
     """The family that predicts held-out data best, of all of them (``edtorch.model.held_out``)."""
 
-    implicit: Implicit = Implicit()
-    products: Products = Products()
-    monomials: Monomials = Monomials()
+    implicit: ImplicitModel = ImplicitModel()
+    products: ProductModel = ProductModel()
+    monomials: MonomialModel = MonomialModel()
 
     def structures(self, told: Told) -> dict[str, Structure]:
         """All of them by name, those with fewer terms first."""

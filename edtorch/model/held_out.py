@@ -99,13 +99,13 @@ def choose_model(
     transition: N rows in order of time, scaled units; episode: int64 ``[N]``, the same number for
     rows of one episode; blocks: at most, of ``LEAST_ROWS`` or more.  Windows are shorter than
     ``seconds`` where blocks or episodes are too short for as many windows as blocks.  A candidate
-    that cannot be fitted without some block has an infinite error.  Raises ValueError for fewer
-    valid rows than two blocks have, FitError if no candidate can be fitted.
+    that cannot be fitted without some block has an infinite error.  Raises FitError for fewer
+    valid rows than two blocks have, and if no candidate can be fitted.
     """
     data, episode = usable(transition), _unbroken(transition.valid, episode)
     rows = len(episode)
     if rows < 2 * LEAST_ROWS:
-        raise ValueError(
+        raise FitError(
             f"transitions: got {rows}, expected at least {2 * LEAST_ROWS} to hold some of them out:"
             " more random exploration"
         )
@@ -135,7 +135,12 @@ def choose_model(
             behind=float(behind.mean()),
             standard_error=float(behind.std(correction=0)) / math.sqrt(apart),
         )
-    tied = [name for name in candidates if scores[name].behind <= scores[name].standard_error]
+    # The best itself is among them, whatever rounding does.
+    tied = [
+        name
+        for name in candidates
+        if name == best or scores[name].behind <= scores[name].standard_error
+    ]
     name = min(tied, key=lambda name: (scores[name].terms, scores[name].behind))
     chosen = candidates[name]
     return ModelChoice(name, chosen, fit(chosen, data), scores, best, ticks * float(data.dt.mean()))

@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from edtorch.errors import NonFiniteError
+from edtorch.errors import FitError, NonFiniteError
 from edtorch.model.evidence import Evidence, Posterior, ard
 from edtorch.model.mechanism import Structure, accelerations, runge_kutta
 from edtorch.types import Transition
@@ -64,7 +64,7 @@ def fit_paths(
     transition: N rows in any order, scaled units; dt ``[]`` or ``[N]``; rows that are not valid are
     left out.  Posterior.noise is the variance of y, per second squared; fallbacks counts rows whose
     own path was not finite in the last pass, for which that of pass 1 stood.  Raises NonFiniteError
-    for readings that are not finite, ValueError for fewer than ``LEAST_ROWS``, FitError where the
+    for readings that are not finite, FitError for fewer than ``LEAST_ROWS``, and where the
     numbers break.
     """
     if passes < 1:
@@ -104,7 +104,7 @@ def usable(transition: Transition) -> Transition:
             f" {float(both[row, column])}, expected finite numbers"
         )
     if len(both) < LEAST_ROWS:
-        raise ValueError(f"transitions: got {len(both)}, expected at least {LEAST_ROWS} to fit")
+        raise FitError(f"transitions: got {len(both)}, expected at least {LEAST_ROWS} to fit")
     return data
 
 

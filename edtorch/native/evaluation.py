@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import Memory
+from edtorch.learner.observer import EpisodeMemory
 from edtorch.native.choice import Mode
 from edtorch.native.plan import KernelPlan, NoKernel, add_policy, add_world, begun, place
 from edtorch.native.program import Unavailable, load_kernel
@@ -45,7 +45,7 @@ def evaluate_policies(
     episodes: int,
     *,
     native: Mode = "auto",
-    observer: Memory | None = None,
+    observer: EpisodeMemory | None = None,
     among: Sequence[Episode] = (),
     purpose: Purpose = Purpose.EVALUATION,
 ) -> list[list[Episode]]:
@@ -87,7 +87,7 @@ class Rides:
         policy: Actor,
         parameters: Parameters,
         world: World,
-        observer: Memory | None = None,
+        observer: EpisodeMemory | None = None,
     ) -> None:
         """parameters: ``[S, ...]``.  Raises NoKernel, and Unavailable."""
         if observer is not None:

@@ -20,6 +20,13 @@ class Squash:
         """The action of a raw one."""
         return self.middle + self.half * torch.tanh(raw)
 
+    def inverse(self, action: Tensor, gain: Tensor) -> tuple[Tensor, Tensor]:
+        """Raw action ``[m]`` and raw gain ``[m, n]`` of a linear policy about an action: equal to
+        first order.  An action at or beyond a bound is taken from just inside."""
+        part = ((action - self.middle) / self.half).clamp(-0.99, 0.99)
+        # u = middle + half tanh(z): du = half (1 - tanh(z)^2) dz.
+        return part.atanh(), gain / (self.half * (1 - part.square())).unsqueeze(-1)
+
 
 def wrapped(difference: Tensor, period: Tensor) -> Tensor:
     """Differences of states ``[*batch, n]``, those of angles within half a turn; period ``[n]``: of

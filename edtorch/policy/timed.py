@@ -17,8 +17,8 @@ class TimedPolicy:
 
     parameters: ``state`` ``[B, H + 1, n]``, ``raw`` z ``[B, H, m]``, ``gain`` K ``[B, H, m, n]``,
     scaled.  It takes states with the number of the tick appended ``[*more, B, n + 1]``
-    (``edtorch.learner.clock.Clock``); after the horizon the last gain stays.  period ``[n]``: of
-    angles, see ``edtorch.policy.squash.wrapped``.
+    (``edtorch.learner.clock.EpisodeClock``); after the horizon the last gain stays.  period
+    ``[n]``: of angles, see ``edtorch.policy.squash.wrapped``.
     """
 
     label = "TimedPolicy"

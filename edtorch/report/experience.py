@@ -13,7 +13,7 @@ from edtorch.report.proportions import Proportion
 
 
 @dataclass(frozen=True)
-class Experience:
+class SeedExperience:
     """One seed: ``seconds`` of experience after each trial, rates: the success of the policy then
     in fresh episodes; solved: seconds when its task first counted as solved, inf for never."""
 
@@ -22,7 +22,7 @@ class Experience:
     solved: float
 
 
-def experience_curve(seeds: Sequence[Experience], wanted: float | None, title: str) -> Figure:
+def experience_curve(seeds: Sequence[SeedExperience], wanted: float | None, title: str) -> Figure:
     """Above: the share of the seeds whose task is solved against seconds of experience, with
     Wilson's 95 % band.  Below: the success of each seed's policy after each trial; wanted: the rate
     that counts as solved, None where another figure decides."""

@@ -30,7 +30,7 @@ class LiftedReward:
     component that is no angle by its name, ``sin NAME`` and ``cos NAME`` of one that is one, and
     ``constant``), its ``weight``, 1 by default, and perhaps the ``reference`` that it is to follow
     (``edtorch.rewards.reference``); rates: weight of every rate, by its scale; action: of every
-    action, by its scale.
+    action, by its scale; angles: names of angles beside those of the domain (``told.angles``).
 
     ValueError for unknown entries and references, and for weights below zero.
     """
@@ -41,6 +41,7 @@ class LiftedReward:
         rows: Sequence[Mapping[str, Any]],
         rates: float = 0.0,
         action: float = 0.0,
+        angles: Sequence[str] = (),
         dtype: torch.dtype = torch.float64,
     ) -> None:
         for name, value in (("rates", rates), ("action", action)):
@@ -48,7 +49,7 @@ class LiftedReward:
                 raise ValueError(f"{name}={value}: expected a number >= 0")
         if not rows:
             raise ValueError("rows=[]: expected at least one, such as {position: 1, constant: -2}")
-        told = Told.of(spec)
+        told = Told.of(spec, angles=angles)
         self.lift = lift = Lift.of(told)
         found = [_row(lift, place, row) for place, row in enumerate(rows)]
         found += [

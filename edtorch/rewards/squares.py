@@ -24,7 +24,13 @@ def squares_of(reward: Reward, lift: Lift, ticks: int) -> tuple[Tensor, Tensor]:
     """
     offered = getattr(reward, "lifted_squares", None)
     if offered is not None:
-        return offered(ticks)
+        rows, action = offered(ticks)
+        if rows.shape[-1] != lift.size:
+            raise ValueError(
+                f"{rows.shape[-1]} entries of the lift, expected {lift.size}; tell the reward the"
+                " same angles (reward.angles) as the model (told.angles)"
+            )
+        return rows, action
     form = quadratic_form_of(reward)
     if form is None:
         raise ValueError(

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import Memory
+from edtorch.learner.observer import EpisodeMemory
 from edtorch.run.episodes import Episode
 from edtorch.run.random import Purpose, Streams, learning_streams, stream_key
 from edtorch.run.rollout import finished, rollout
@@ -36,7 +36,7 @@ def evaluate(
     episodes: int,
     *,
     watch: Watch | None = None,
-    observer: Memory | None = None,
+    observer: EpisodeMemory | None = None,
     among: Sequence[Episode] = (),
     purpose: Purpose = Purpose.EVALUATION,
 ) -> list[list[Episode]]:
@@ -80,7 +80,7 @@ class Frozen:
 
     policy: Actor
     parameters: Parameters
-    observer: Memory | None
+    observer: EpisodeMemory | None
 
     def begin(self, memory: Parameters, fresh: Tensor, observation: Tensor, /) -> Parameters:
         """New episodes of those that are ``fresh``: all of them where nothing is remembered."""

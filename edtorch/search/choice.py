@@ -22,7 +22,7 @@ ROUNDED = 20
 
 
 @dataclass(frozen=True)
-class Choice:
+class PlanChoice:
     """place: of the chosen plan among the candidates; success: share of its futures in which the
     task was done, nan where nobody judges; cost: mean over its finite futures."""
 
@@ -31,7 +31,7 @@ class Choice:
     cost: float
 
 
-def drawn(
+def futures_of(
     posterior: Posterior,
     starts: Tensor,
     noise: Tensor,
@@ -50,7 +50,7 @@ def drawn(
     return Futures(weight.numpy(), starts[torch.from_numpy(which)].numpy(), noise_of)
 
 
-def choose(candidates: Sequence[Imagined], judge: Callable[[Tensor], Tensor] | None) -> Choice:
+def choose(candidates: Sequence[Imagined], judge: Callable[[Tensor], Tensor] | None) -> PlanChoice:
     """The candidate with the most successes, the least mean cost at a tie; without ``judge``, of
     true states ``[P, H + 1, n]``, the least mean cost alone.  A future that is not finite is no
     success, and costs as much as the dearest that is."""
@@ -63,7 +63,7 @@ def choose(candidates: Sequence[Imagined], judge: Callable[[Tensor], Tensor] | N
         if judge is not None:
             state = torch.from_numpy(np.where(finite[:, None, None], imagined.state, 0.0))
             success = float((judge(state).numpy() & finite).mean())
-        found.append(Choice(place, success, mean))
+        found.append(PlanChoice(place, success, mean))
     return min(found, key=lambda c: (-_rounded(c.success), c.cost, c.place))
 
 

@@ -8,11 +8,11 @@ from typing import Protocol
 
 import numpy as np
 
-from edtorch.learner.observer import Memory
+from edtorch.learner.observer import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.search.imagination import Futures, Imagined
 from edtorch.search.plan import Cost, Plan
-from edtorch.search.problem import Left, Problem
+from edtorch.search.problem import Left, SearchProblem
 from edtorch.search.tick_model import TickModel
 from edtorch.types import Parameters
 
@@ -29,14 +29,14 @@ class Carried:
 class Execution(Protocol):
     """A kind of policy that plans lead to."""
 
-    def actor(self, problem: Problem, ticks: int) -> tuple[Policy, Memory | None]:
+    def actor(self, problem: SearchProblem, ticks: int) -> tuple[Policy, EpisodeMemory | None]:
         """Who acts by plans of so many ticks, and what goes with it.  Raises ValueError where that
         cannot be."""
         ...
 
     def carried(
         self,
-        problem: Problem,
+        problem: SearchProblem,
         model: TickModel,
         cost: Cost,
         plans: Sequence[Plan],
@@ -45,7 +45,7 @@ class Execution(Protocol):
         """The policy of each plan; cost: over the trial.  Raises NoPlan where there is none."""
         ...
 
-    def left(self, problem: Problem, parameters: Parameters, limit: float) -> Left | None:
+    def left(self, problem: SearchProblem, parameters: Parameters, limit: float) -> Left | None:
         """Whether a trial by these parameters ``[B, ...]`` has left its plan by a scaled distance
         of ``limit``; None where it has none to leave."""
         ...

@@ -12,15 +12,16 @@ import torch
 from torch import Tensor
 
 from edtorch.errors import NoPlan
-from edtorch.learner.observer import Memory
+from edtorch.learner.observer import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import wrapped
-from edtorch.search.choice import choose, drawn
+from edtorch.search.choice import choose, futures_of
 from edtorch.search.execution import Execution
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.plan import Cost, Plan, ramp
-from edtorch.search.problem import Improvement, Left, Problem
+from edtorch.search.problem import Improvement, Left, SearchProblem
 from edtorch.search.quiet import quiet_gains
+from edtorch.search.random_first import RandomFirst
 from edtorch.search.segments import plan_through
 from edtorch.search.starts import lines, sinusoids, still
 from edtorch.search.stationary import Stationary
@@ -34,13 +35,13 @@ EXECUTIONS: Mapping[str, Execution] = {"timed": Timed(), "stationary": Stationar
 
 
 @dataclass(frozen=True)
-class PlannedSearch:
+class PlannedSearch(RandomFirst):
     """Plans from the mean start, by single shooting from ``starts`` swinging actions and the last
     plans, and by multiple shooting from ``straight`` lines to the target.
 
     policy: what carries a plan out, ``timed`` (``edtorch.search.timed``) or ``stationary``, which
-    goes on after it (``edtorch.search.stationary``).  random: seconds of the first trial, whose
-    actions are random; horizon: of a plan; both None for those of a trial.
+    goes on after it (``edtorch.search.stationary``).  horizon: seconds of a plan, None: of
+    a trial.
     ramp: seconds for which weights grow as (t / ramp)^power, and for which a plan is made first; it
     then goes on to its horizon in segments of constant weights.  None: the horizon.  squash: see
     ``edtorch.search.plan.Cost``.
@@ -52,7 +53,6 @@ class PlannedSearch:
     """
 
     policy: Literal["timed", "stationary"] = "timed"
-    random: float | None = None
     horizon: float | None = None
     ramp: float | None = None
     power: float = 4.0
@@ -73,6 +73,7 @@ class PlannedSearch:
 
     def __post_init__(self) -> None:
         """Refuse impossible settings."""
+        super().__post_init__()
         for name, least in (("starts", 0), ("straight", 0), ("keep", 1), ("draws", 1)):
             value = getattr(self, name)
             if value < least:
@@ -83,7 +84,7 @@ class PlannedSearch:
             raise ValueError(f"policy={self.policy}: expected one of {', '.join(EXECUTIONS)}")
         if self.substeps < 1:
             raise ValueError(f"substeps={self.substeps}: expected an integer >= 1")
-        for name in ("random", "horizon", "ramp", "abort"):
+        for name in ("horizon", "ramp", "abort"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name}={value}: expected a number > 0, or null")
@@ -92,18 +93,20 @@ class PlannedSearch:
             if not value >= 0:
                 raise ValueError(f"{name}={value}: expected a number >= 0")
 
-    def actor(self, problem: Problem) -> tuple[Policy, Memory | None]:
+    def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """See ``TrialSearch``."""
         horizon, _ = self._ticks(problem)
         return EXECUTIONS[self.policy].actor(problem, horizon)
 
-    def left(self, problem: Problem, parameters: Parameters) -> Left | None:
+    def left(self, problem: SearchProblem, parameters: Parameters) -> Left | None:
         """See ``TrialSearch``."""
         if self.abort is None:
             return None
         return EXECUTIONS[self.policy].left(problem, parameters, self.abort)
 
-    def improve(self, problem: Problem, knowledge: Knowledge, seed: int, trial: int) -> Improvement:
+    def improve(
+        self, problem: SearchProblem, knowledge: Knowledge, seed: int, trial: int
+    ) -> Improvement:
         """See ``TrialSearch``."""
         learned = problem.learn(knowledge.transitions(problem.dt), knowledge.trial)
         structure = problem.structures[learned.name]
@@ -126,7 +129,7 @@ class PlannedSearch:
             raise NoPlan(f"none of {dropped} starts led to a finite plan")
         noise = learned.reading_noise if problem.noise is None else problem.noise
         candidates = self._candidates(problem, model, cost, plans, starts, noise)
-        futures = drawn(
+        futures = futures_of(
             learned.posterior,
             starts,
             noise,
@@ -157,7 +160,7 @@ class PlannedSearch:
 
     def _plans(
         self,
-        problem: Problem,
+        problem: SearchProblem,
         model: TickModel,
         cost: Cost,
         starts: Tensor,
@@ -175,14 +178,14 @@ class PlannedSearch:
             straight += lines(model.structure, start, goal[first], first, m, dt, generator)
         return plan_through(model, cost, first, swings, straight[: self.straight], goal, self.keep)
 
-    def _ticks(self, problem: Problem) -> tuple[int, int]:
+    def _ticks(self, problem: SearchProblem) -> tuple[int, int]:
         """Of the horizon, and of the first segment.  Raises ValueError."""
         horizon = _ticks_of("horizon", self.horizon, problem.ticks, problem.dt, "a trial")
         return horizon, _ticks_of("ramp", self.ramp, horizon, problem.dt, "a plan")
 
     def _candidates(
         self,
-        problem: Problem,
+        problem: SearchProblem,
         model: TickModel,
         cost: Cost,
         plans: Sequence[Plan],

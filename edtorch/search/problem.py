@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from torch import Tensor
 
-from edtorch.learner.observer import Memory
-from edtorch.model.batch_fit import Learned
+from edtorch.learner.observer import EpisodeMemory
+from edtorch.model.batch_fit import LearnedModel
 from edtorch.model.mechanism import Structure
 from edtorch.policy.policies import Policy
 from edtorch.search.knowledge import Knowledge
@@ -18,20 +18,23 @@ from edtorch.types import Parameters, Transition
 
 
 @dataclass(frozen=True)
-class Problem:
+class SearchProblem:
     """All in scaled units.
 
-    structures: models to choose from, by name, the simpler first; learn: the best of them
-    from transitions and the trial of each; rows ``[H + 1, r, A]`` and action
-    ``[m]``: as of ``edtorch.search.plan.Cost``; middle, half ``[m]``: of the range of the actions;
-    period ``[n]``: of angles, else 0; dt: s; starts: of a seed to readings ``[k, n]`` of starts;
-    judge: of true states ``[*batch, H + 1, n]`` to whether the task would be done, bool
-    ``[*batch]``, None where nobody says; noise ``[n]``: standard deviations of readings where they
-    are told; goal ``[H + 1, n]``: the states that the rows want.
+    names, scale ``[n]``: of the components of the state; structures: models to choose from, by
+    name, the simpler first; learn: the best of them from transitions and the trial of each; rows
+    ``[H + 1, r, A]`` and action ``[m]``: as of ``edtorch.search.plan.Cost``; middle, half ``[m]``:
+    of the range of the actions; period ``[n]``: of angles, else 0; dt: s; starts: of a seed to
+    readings ``[k, n]`` of starts; judge: of true states ``[*batch, H + 1, n]`` to whether the task
+    would be done, bool ``[*batch]``, None where nobody says; noise ``[n]``: standard deviations of
+    readings where they are told; goal ``[H + 1, n]``: the states that the
+    rows want.
     """
 
+    names: Sequence[str]
+    scale: Tensor
     structures: Mapping[str, Structure]
-    learn: Callable[[Transition, Tensor], Learned]
+    learn: Callable[[Transition, Tensor], LearnedModel]
     rows: np.ndarray
     action: np.ndarray
     middle: Tensor
@@ -67,21 +70,26 @@ class Improvement:
 class TrialSearch(Protocol):
     """A search that acts for a trial at a time.
 
-    random: seconds of the first trial, with random actions; None: as long as any.  figures: names
-    of those of an ``Improvement``.
+    random: seconds of the first trials, with random actions; None: as long as any; random_trials:
+    how many there are; random_size: share of the range of the actions that they use.  figures:
+    names of those of an ``Improvement``.
     """
 
     random: float | None
+    random_trials: int
+    random_size: float
     figures: tuple[str, ...]
 
-    def actor(self, problem: Problem) -> tuple[Policy, Memory | None]:
+    def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """Who acts by the parameters of an improvement, and what goes with it."""
         ...
 
-    def left(self, problem: Problem, parameters: Parameters) -> Left | None:
+    def left(self, problem: SearchProblem, parameters: Parameters) -> Left | None:
         """When a trial by these parameters ``[B, ...]`` is to be given up; None: never."""
         ...
 
-    def improve(self, problem: Problem, knowledge: Knowledge, seed: int, trial: int) -> Improvement:
+    def improve(
+        self, problem: SearchProblem, knowledge: Knowledge, seed: int, trial: int
+    ) -> Improvement:
         """A policy from all trials so far; trial: the number of the next one."""
         ...

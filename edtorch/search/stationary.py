@@ -9,14 +9,14 @@ import numpy as np
 import torch
 
 from edtorch.errors import NoPlan
-from edtorch.learner.observer import Memory
+from edtorch.learner.observer import EpisodeMemory
 from edtorch.policy.knots import KnotPolicy
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash
 from edtorch.search.execution import Carried
 from edtorch.search.imagination import Futures, Knots, imagine_knots
 from edtorch.search.plan import Cost, Plan
-from edtorch.search.problem import Left, Problem
+from edtorch.search.problem import Left, SearchProblem
 from edtorch.search.tick_model import TickModel
 from edtorch.types import Parameters
 from edtorch.value.linear.lqr import NotConverged
@@ -36,7 +36,7 @@ class Stationary:
     attraction: float = 0.35
     width: float = 0.1
 
-    def actor(self, problem: Problem, ticks: int) -> tuple[Policy, Memory | None]:
+    def actor(self, problem: SearchProblem, ticks: int) -> tuple[Policy, EpisodeMemory | None]:
         """See ``Execution``."""
         if bool((problem.rows != problem.rows[:1]).any()):
             raise ValueError(
@@ -49,7 +49,7 @@ class Stationary:
 
     def carried(
         self,
-        problem: Problem,
+        problem: SearchProblem,
         model: TickModel,
         cost: Cost,
         plans: Sequence[Plan],
@@ -69,12 +69,12 @@ class Stationary:
             found.append(Carried(parameters, imagine_knots(model, cost, knots, futures)))
         return found
 
-    def left(self, problem: Problem, parameters: Parameters, limit: float) -> Left | None:
+    def left(self, problem: SearchProblem, parameters: Parameters, limit: float) -> Left | None:
         """See ``Execution``: there is no tick at which it should be anywhere."""
         return None
 
 
-def goal_knot(problem: Problem, model: TickModel, cost: Cost) -> Plan:
+def goal_knot(problem: SearchProblem, model: TickModel, cost: Cost) -> Plan:
     """The regulator at the goal as a plan of one tick, in raw actions.
 
     Where no action holds all that the goal names (a pole leans a little on a model that errs), only
@@ -92,15 +92,13 @@ def goal_knot(problem: Problem, model: TickModel, cost: Cost) -> Plan:
             found = _regulator(problem, model, cost, named & ~acts[lift.at])
     except (NoEquilibrium, NotConverged) as error:
         raise NoPlan(f"the goal cannot be held: {error}") from error
-    part = ((found.action - problem.middle) / problem.half).clamp(-0.99, 0.99)
-    # u = middle + half tanh(z): du = half (1 - tanh(z)^2) dz.
-    gain = found.gain / (problem.half * (1 - part.square())).unsqueeze(-1)
+    raw, gain = Squash(problem.middle, problem.half).inverse(found.action, found.gain)
     state = found.state.numpy()
-    return Plan(np.stack([state, state]), part.atanh().numpy()[None], gain.numpy()[None], 0.0)
+    return Plan(np.stack([state, state]), raw.numpy()[None], gain.numpy()[None], 0.0)
 
 
 def _regulator(
-    problem: Problem, model: TickModel, cost: Cost, held: np.ndarray
+    problem: SearchProblem, model: TickModel, cost: Cost, held: np.ndarray
 ) -> StationaryRegulator:
     return regulator_at(
         model.structure,
@@ -115,7 +113,7 @@ def _regulator(
     )
 
 
-def _metric(problem: Problem) -> torch.Tensor:
+def _metric(problem: SearchProblem) -> torch.Tensor:
     """``[n]``: a radian of angles, 1 of what else there is, scaled."""
     angle = problem.period > 0
     return torch.where(angle, problem.period / (2 * torch.pi), torch.ones_like(problem.period))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -43,9 +45,7 @@ def wanted_states(structure: Structure, rows: np.ndarray, dt: float) -> Tensor:
 def _best(lift: Lift, rows: np.ndarray) -> tuple[Tensor, Tensor]:
     """Ends of the method, ``[T, q, n]``, and which of them are as good as any, bool ``[T, q]``."""
     angles = np.flatnonzero(lift.angle)
-    quarters = np.stack(
-        np.meshgrid(*[np.arange(-1, 3) * np.pi / 2] * len(angles), indexing="ij"), axis=-1
-    ).reshape(-1, len(angles))
+    quarters = np.array([*product(np.arange(-1, 3) * np.pi / 2, repeat=len(angles))])
     R = torch.from_numpy(np.ascontiguousarray(rows)).unsqueeze(1)
     state = torch.zeros(len(rows), len(quarters), lift.states, dtype=torch.float64)
     state[..., torch.from_numpy(angles)] = torch.from_numpy(quarters / lift.unit[angles])

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from edtorch.learner.clock import Clock
-from edtorch.learner.observer import Memory
+from edtorch.learner.clock import EpisodeClock
+from edtorch.learner.observer import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash, wrapped
 from edtorch.policy.timed import TimedPolicy
 from edtorch.search.execution import Carried
 from edtorch.search.imagination import Futures, imagine
 from edtorch.search.plan import Cost, Plan
-from edtorch.search.problem import Left, Problem
+from edtorch.search.problem import Left, SearchProblem
 from edtorch.search.tick_model import TickModel
 from edtorch.types import Parameters
 
@@ -22,7 +22,7 @@ from edtorch.types import Parameters
 class Timed:
     """A policy with the plan's own gains at each tick (``edtorch.policy.timed``)."""
 
-    def actor(self, problem: Problem, ticks: int) -> tuple[Policy, Memory | None]:
+    def actor(self, problem: SearchProblem, ticks: int) -> tuple[Policy, EpisodeMemory | None]:
         """See ``Execution``: with a clock."""
         if ticks != problem.ticks:
             raise ValueError(
@@ -31,11 +31,11 @@ class Timed:
                 " after a plan"
             )
         squash = Squash(problem.middle, problem.half)
-        return TimedPolicy(ticks, squash, problem.period), Clock()
+        return TimedPolicy(ticks, squash, problem.period), EpisodeClock()
 
     def carried(
         self,
-        problem: Problem,
+        problem: SearchProblem,
         model: TickModel,
         cost: Cost,
         plans: Sequence[Plan],
@@ -50,7 +50,7 @@ class Timed:
             for plan in plans
         ]
 
-    def left(self, problem: Problem, parameters: Parameters, limit: float) -> Left | None:
+    def left(self, problem: SearchProblem, parameters: Parameters, limit: float) -> Left | None:
         """See ``Execution``."""
         planned = parameters["state"]
 

@@ -75,6 +75,10 @@ BESIDE = {
     ("fit", "paths"): SEARCH,
     ("reward", "lifted"): SEARCH,
     ("search", "planned"): SEARCH,
+    ("search", "regulated"): [
+        *("experiment=swingup", "domain=pendulum_swingup", "+reward.state.angle=1"),
+        "+reward.action.torque=1",
+    ],
     ("domain", "cardea"): ["reward=quadratic", "+reward.state.tilt=1"],
     ("inverse", "learned"): CARDEA,
     ("inverse", "kinematic"): CARDEA,

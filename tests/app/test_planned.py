@@ -14,6 +14,7 @@ import torch
 
 import edtorch
 from edtorch.app.build_planned import Solved
+from sims.tasks.cart_pole import CartPole
 from tests.app.conftest import Result
 
 SMALL = ("experiment=pendulum_swingup", "search.starts=4", "search.draws=20", "eval.episodes=20")
@@ -113,6 +114,27 @@ def test_a_stationary_policy_holds_for_longer_than_its_plan(tmp_path: Path) -> N
     assert not again.policies[0].remembers
 
 
+@pytest.mark.experiment
+def test_a_pole_is_held_by_the_regulator_of_its_model() -> None:
+    run = edtorch.learn(
+        CartPole(time_limit=4.0),
+        preset="swingup",
+        target={"angle": 0.0, "position": 0.0},
+        weights={"force": 0.01},
+        overrides=[
+            *("search=regulated", "search.held={angle: 0.0, position: 0.0}", "eval.episodes=10"),
+            *(
+                "train.episodes=8",
+                "model.degree=1",
+                "told.angles=[angle]",
+            ),
+        ],
+        progress=False,
+    )
+    assert run.summary["never_solved"] == []
+    assert run.evaluate(10)["failure_rate"] == [0.0]
+
+
 @pytest.mark.parametrize(
     ("rate", "mean_return", "found", "holds"),
     [
@@ -150,7 +172,7 @@ def test_when_a_task_counts_as_solved(
         (["search.abort=-1"], "search.abort=-1.0: expected a number > 0, or null"),
         (["search.gains=best"], "search.gains=best: expected one of plain, covariance, both"),
         (["+eval.solved.return=3"], "eval.solved.return=3"),
-        (["eval.solved.rate=2"], "eval.solved.rate=2.0: expected a share"),
+        (["eval.solved.rate=2"], "eval.solved.rate=2: expected a share"),
         (["told.invariant=[speeed]"], "told.invariant='speeed': no component"),
         (["told.constant=[angle]"], "told.rates: 'rate' is the rate of 'angle'"),
         (["model=derivative"], "lacks structures"),
@@ -187,6 +209,33 @@ def test_what_is_to_be_followed_is_for_planners_alone(command: Callable[..., Any
     )
     assert result.status != 0
     assert "search=planned follows one" in result.line
+
+
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
+        ("+search.held.tip=1", "search.held.tip=1.0: expected one of angle, rate"),
+        ("search.random_size=2", "search.random_size=2.0: expected a number in (0, 1]"),
+        ("search.random_trials=0", "search.random_trials=0: expected an integer >= 1"),
+    ],
+)
+def test_refuses_impossible_regulators(
+    command: Callable[..., Result], argument: str, words: str
+) -> None:
+    what = (
+        *("experiment=swingup", "domain=pendulum_swingup", "+reward.state.angle=1"),
+        "+reward.action.torque=1",
+    )
+    result = command("edtorch-train", *what, "search=regulated", argument)
+    assert result.status != 0
+    assert words in result.line
+
+
+def test_a_regulator_needs_actions_that_cost_something(command: Callable[..., Result]) -> None:
+    what = ("experiment=swingup", "domain=pendulum_swingup", "+reward.state.angle=1")
+    result = command("edtorch-train", *what, "search=regulated")
+    assert result.status != 0
+    assert "every action has a weight > 0 (reward.action.NAME)" in result.line
 
 
 def test_models_of_a_search_are_no_models_of_a_learner(command: Callable[..., Any]) -> None:

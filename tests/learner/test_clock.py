@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import torch
 
-from edtorch.learner.clock import Clock
+from edtorch.learner.clock import EpisodeClock
 from edtorch.types import Transition
 
 
 def test_counts_the_ticks_of_each_episode() -> None:
-    clock, observation = Clock(), torch.arange(6.0).double().view(3, 2)
+    clock, observation = EpisodeClock(), torch.arange(6.0).double().view(3, 2)
     memory = clock.initial(observation)
     valid, dt = torch.ones(3, dtype=torch.bool), torch.tensor(0.1)
     happened = Transition(observation, observation[:, :1], observation, dt, valid)

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from edtorch.report.experience import Experience, experience_curve, median_seconds
+from edtorch.report.experience import SeedExperience, experience_curve, median_seconds
 
 SEEDS = [
-    Experience([4.0, 8.0], [0.2, 1.0], 8.0),
-    Experience([4.0], [0.97], 4.0),
-    Experience([4.0, 6.5, 10.5], [0.0, 0.1, 0.3], math.inf),
+    SeedExperience([4.0, 8.0], [0.2, 1.0], 8.0),
+    SeedExperience([4.0], [0.97], 4.0),
+    SeedExperience([4.0, 6.5, 10.5], [0.0, 0.1, 0.3], math.inf),
 ]
 
 

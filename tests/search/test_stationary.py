@@ -14,7 +14,7 @@ from edtorch.policy.knots import KnotPolicy
 from edtorch.policy.squash import Squash
 from edtorch.search.imagination import Futures
 from edtorch.search.plan import Cost
-from edtorch.search.problem import Problem
+from edtorch.search.problem import SearchProblem
 from edtorch.search.shooting import shoot
 from edtorch.search.starts import sinusoids
 from edtorch.search.stationary import Stationary, goal_knot
@@ -31,14 +31,16 @@ from tests.planning import (
 )
 
 
-def _problem(model: TickModel, cost: Cost) -> Problem:
+def _problem(model: TickModel, cost: Cost) -> SearchProblem:
     n = len(model.structure.source)
 
     def unasked(*_: object) -> torch.Tensor:
         raise AssertionError
 
     learn: Callable[..., object] = unasked
-    return Problem(
+    return SearchProblem(
+        names=[f"s{i}" for i in range(n)],
+        scale=torch.ones(n, dtype=torch.float64),
         structures={"only": model.structure},
         learn=learn,  # pyright: ignore[reportArgumentType]
         rows=cost.rows,

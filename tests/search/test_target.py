@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from edtorch.model.families import Implicit
+from edtorch.model.families import ImplicitModel
 from edtorch.model.mechanism import Structure
 from edtorch.model.told import Told
 from edtorch.rewards import LiftedReward
@@ -24,7 +24,7 @@ def test_angles_are_averaged_on_the_circle() -> None:
 
 
 def _structure(spec: Spec) -> Structure:
-    (structure,) = Implicit().structures(Told.of(spec)).values()
+    (structure,) = ImplicitModel().structures(Told.of(spec)).values()
     return structure
 
 

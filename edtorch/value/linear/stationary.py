@@ -56,16 +56,18 @@ def regulator_at(
     seconds: float,
     rows: Float[Tensor, "r A"],
     price: Float[Tensor, " m"],
+    tolerance: float = 1e-6,
 ) -> StationaryRegulator:
     """The regulator of ticks of ``seconds`` whose cost is |rows A(s, u)|^2 + sum price
     ((u - u_eq) / half)^2, to second order about the equilibrium.
 
     weight ``[L, K]``; state: wanted values where ``held`` (bool ``[n]``) says so, and where to
     start from elsewhere; middle and half: of the range of the actions, in which u_eq is; rows: on
-    the entries of the lift.  Raises NoEquilibrium where the model moves in every such state,
-    NotConverged where its actions cannot stabilise it there.
+    the entries of the lift; tolerance: scaled change per second that counts as standing still.
+    Raises NoEquilibrium where the model moves in every such state, NotConverged where its actions
+    cannot stabilise it there.
     """
-    state, action = standing(structure, weight, state, held, middle, half)
+    state, action = standing(structure, weight, state, held, middle, half, tolerance)
     n = state.shape[-1]
     jacobian = runge_kutta_jacobian(structure, weight, state, action, seconds)
     slope = rows @ structure.lift.jacobian(state, action)[:, :n]
