@@ -20,7 +20,7 @@ TEST_ENV := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEN
 PYTEST := $(TEST_ENV) $(PY) -m pytest -n $(JOBS) --dist worksteal
 
 .PHONY: help ride test test-long test-browser test-paper test-slurm browser slurm check format bench \
-    paper env dev clean distclean
+    paper tasks env dev clean distclean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -83,6 +83,9 @@ bench: $(VENV)/.bench  ## speed, one file per question; BENCH="tick unroll" pick
 # Cells that are there are kept: it can be stopped and continued.
 paper: $(VENV)/.paper  ## the paper, rerun into runs/reference/paper (hours); quick=1: in minutes
 	OMP_NUM_THREADS=1 $(PY) -m studies.rerun --jobs $(JOBS) $(if $(quick),--quick) $(ARGS)
+
+tasks: $(VENV)/.dev  ## searches on the standard tasks into runs/reference/tasks (an hour)
+	OMP_NUM_THREADS=1 $(PY) -m studies.tasks --jobs $(JOBS) $(if $(quick),--quick) $(ARGS)
 
 env: $(VENV)/.core  ## the environment, with edtorch in it
 dev: $(VENV)/.dev  ## the same with the tools of a developer

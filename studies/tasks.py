@@ -1,0 +1,130 @@
+"""Seconds of experience until the standard tasks are solved, and what each ingredient is worth.
+
+    python -m studies.tasks [options: see studies/cells.py]
+
+Every cell of ``tasks.yaml`` is a population of searches in ``runs/tasks/TABLE/CELL``.  Tables of
+the cells that are there are written to ``tasks.md`` beside the kept results, for ``docs/tasks.md``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from edtorch.report.proportions import Proportion
+from edtorch.run.files import write_text
+from studies import cells as making
+from studies.cells import Cell, Finished
+
+KEPT = Path("runs/reference/tasks")
+PUBLISHED = Path(__file__).with_name("tasks_published.yaml")
+
+
+def within(summary: Mapping[str, Any], seconds: float) -> Proportion:
+    """How many of the seeds had solved their task after so many seconds of experience."""
+    solved = summary["seconds_to_solved"]["per_seed"]
+    return Proportion(sum(s is not None and s <= seconds + 1e-9 for s in solved), len(solved))
+
+
+def seconds_told(summary: Mapping[str, Any]) -> str:
+    """Median [least, greatest], an unsolved seed counting as infinity."""
+    spread = summary["seconds_to_solved"]
+    return "{} [{}, {}]".format(*(_number(spread[name]) for name in ("median", "min", "max")))
+
+
+def _number(value: float | None) -> str:
+    return "∞" if value is None else f"{value:.3g}"
+
+
+def share(proportion: Proportion) -> str:
+    """Count, share and Wilson's 95 % interval."""
+    low, high = proportion.wilson()
+    percent = f"{100 * proportion.rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+    return f"{proportion.count} of {proportion.total}: {percent}"
+
+
+def record_row(name: str, summary: Mapping[str, Any], about: Mapping[str, Any]) -> list[str]:
+    """One row of the table of records."""
+    limit = float(about.get("within", math.inf))
+    fresh = [rate for rate in summary["success_rate"]["per_seed"] if rate is not None]
+    cpu = [s for own in summary["cpu_s_of_trial"] for s in own]
+    return [
+        name.replace("_", " "),
+        seconds_told(summary),
+        f"{share(within(summary, limit))} within {limit:g} s",
+        f"{statistics.median(fresh):.2f} [{min(fresh):.2f}]",
+        f"{statistics.median(cpu):.1f}",
+        summary["told"],
+        str(about.get("published", "–")),
+    ]
+
+
+def ablation_row(name: str, summary: Mapping[str, Any]) -> list[str]:
+    """One row of an ablation: solved after the first trial, and at all."""
+    first = min(min(own) for own in summary["seconds_after_trial"])
+    return [
+        name.replace("_", " "),
+        share(within(summary, first)),
+        share(within(summary, math.inf)),
+        seconds_told(summary),
+        f"{statistics.median(s for own in summary['cpu_s_of_trial'] for s in own):.1f}",
+    ]
+
+
+RECORDS = (
+    *("task", "seconds to solved, median [min, max]", "solved, Wilson 95 %"),
+    *("success in other episodes, median [min]", "CPU s a trial", "told", "published"),
+)
+ABLATION = (
+    *("without", "solved after the first trial", "solved", "seconds, median [min, max]"),
+    "CPU s a trial",
+)
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """In Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def report(study: Finished) -> int:
+    """Write the tables; nothing can fail to be made but what is missing."""
+    published = yaml.safe_load(PUBLISHED.read_text(encoding="utf-8"))
+    parts: dict[str, list[list[str]]] = {}
+    for cell in study.plan.cells:
+        if cell.title in study.missing:
+            continue
+        summary = _summary(cell, study.output)
+        own = parts.setdefault(cell.table, [])
+        if cell.table == "records":
+            own.append(record_row(cell.name, summary, published.get(cell.name, {})))
+        else:
+            own.append(ablation_row("nothing" if cell.baseline else cell.name, summary))
+    texts = [
+        f"## {name.replace('_', ' ').capitalize()}\n\n"
+        + table(RECORDS if name == "records" else ABLATION, rows)
+        for name, rows in parts.items()
+    ]
+    if study.keep is not None and texts:
+        write_text(study.keep / "tasks.md", "\n".join(texts))
+        print("\n".join(texts))
+    return 0
+
+
+def _summary(cell: Cell, output: Path) -> dict[str, Any]:
+    return json.loads((cell.folder(output) / "summary.json").read_text(encoding="utf-8"))
+
+
+def main() -> None:
+    about = "Seconds of experience until the standard tasks are solved."
+    making.main("tasks", about, report, output=Path("runs/tasks"), keep=KEPT)
+
+
+if __name__ == "__main__":
+    main()
