@@ -30,7 +30,8 @@ def experience_curve(seeds: Sequence[SeedExperience], wanted: float | None, titl
     FigureCanvasAgg(figure)
     share, rates = figure.subplots(2, 1, sharex=True)
     last = max((s for seed in seeds for s in seed.seconds), default=1.0)
-    moments = sorted({0.0, last, *(s for seed in seeds for s in seed.seconds)})
+    end = 1.1 * last
+    moments = sorted({0.0, end, *(s for seed in seeds for s in seed.seconds)})
     proportions = [
         Proportion(sum(seed.solved <= moment for seed in seeds), len(seeds)) for moment in moments
     ]
@@ -43,13 +44,13 @@ def experience_curve(seeds: Sequence[SeedExperience], wanted: float | None, titl
     if wanted is not None:
         rates.axhline(wanted, color="#b3402a", linewidth=0.8, linestyle="--")
         rates.annotate(
-            "solved", (1, wanted), xycoords=("axes fraction", "data"), ha="right", va="bottom"
+            "solved", (0.01, wanted), xycoords=("axes fraction", "data"), ha="left", va="top"
         )
     rates.set_ylabel("success in fresh episodes")
     rates.set_xlabel("experience, s (random trials included)")
     for axes in (share, rates):
         axes.set_ylim(-0.03, 1.03)
-        axes.set_xlim(0, 1.02 * last)
+        axes.set_xlim(0, end)
         axes.grid(alpha=0.2)
     figure.suptitle(title)
     return figure

@@ -22,7 +22,7 @@ def test_the_share_of_solved_seeds_rises_where_they_are_solved() -> None:
     (line,) = share.get_lines()
     moments, shares = np.asarray(line.get_data())
     found = dict(zip(moments.tolist(), shares.tolist(), strict=True))
-    assert found == pytest.approx({0: 0, 4: 1 / 3, 6.5: 1 / 3, 8: 2 / 3, 10.5: 2 / 3})
+    assert found == pytest.approx({0: 0, 4: 1 / 3, 6.5: 1 / 3, 8: 2 / 3, 10.5: 2 / 3, 11.55: 2 / 3})
     assert len(rates.get_lines()) == len(SEEDS) + 1
 
 
