@@ -106,7 +106,10 @@ def settings_typed() -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for override in OverridesParser.create().parse_overrides(prepared(overrides)):
         if override.is_sweep_override() or override.is_delete():
-            raise ConfigError(f"{override.input_line}: expected KEY=VALUE with one value")
+            line = str(override.input_line).lstrip("+")
+            raise ConfigError(f"{line}: expected KEY=VALUE with one value")
+        if override.key_or_group in settings:
+            raise ConfigError(f"{override.key_or_group}: expected it once with resume=RUN")
         settings[override.key_or_group] = plain_value(override.value())
     return settings
 

@@ -27,6 +27,7 @@ from edtorch.app.rundir import (
     read_config,
     status_of,
 )
+from edtorch.app.schema import checked
 from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.app.trust import check_trust
@@ -53,6 +54,7 @@ def resume(
 
 def changed(folder: Path, content: Settings, changes: Mapping[str, Any]) -> Settings:
     """The configuration of a run with these changes.  Raises ConfigError and FileProblem."""
+    content = as_settings(folder, content)
     for key, value in changes.items():
         if key not in CHANGEABLE:
             raise ConfigError(
@@ -61,7 +63,7 @@ def changed(folder: Path, content: Settings, changes: Mapping[str, Any]) -> Sett
             )
         group, _, name = key.rpartition(".")
         content = content.merged({group: {name: value}} if group else {name: value})
-    return as_settings(folder, content)
+    return checked(content)
 
 
 def resume_with(

@@ -50,7 +50,8 @@ def _command() -> None:
         return
     folder, trust = given.pop("resume"), given.pop("trust", ())
     if not isinstance(folder, str) or not folder:
-        raise ConfigError(f"resume={folder}: expected the folder of a run")
+        shown = "null" if folder is None else folder
+        raise ConfigError(f"resume={shown}: expected the folder of a run")
     stop = Stop()
     with stop.listening():
         from edtorch.app.resume import resume

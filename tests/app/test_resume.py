@@ -166,7 +166,10 @@ def test_what_cannot_change_is_named_with_what_can(command: Command, cut: Path) 
     assert "unroll.horizon=7: cannot be another in a run that goes on" in line
     assert "train.seconds" in line and "log.checkpoint_wall" in line
     assert "log.checkpoint=3: was removed" in _refused(command, cut, "log.checkpoint=3")
-    assert "expected KEY=VALUE with one value" in _refused(command, cut, "train.seconds=1,2")
+    assert ": train.seconds=1,2: expected KEY=VALUE" in _refused(command, cut, "train.seconds=1,2")
+    line = _refused(command, cut, "train.seconds=soon")
+    assert "train.seconds=soon" in line and "config.yaml" not in line
+    assert "resume: expected it once" in _refused(command, cut, "resume=another")
     assert "-m: expected none with resume=RUN" in _refused(command, cut, "-m")
     assert "nonsense=1: cannot be another" in _refused(command, cut, "nonsense=1")
 
