@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium
+import numpy as np
 import torch
 from rich.console import Console
 from torch import nn
@@ -25,6 +26,7 @@ from edtorch.app.arguments import (
     check_kinds,
     domain_settings,
     in_arguments,
+    longest,
     reward_of,
 )
 from edtorch.app.compose import compose
@@ -36,6 +38,7 @@ from edtorch.app.job import Job, Work
 from edtorch.app.learned import Run, copied, new_folder, read_records, read_summary
 from edtorch.app.outputs import InMemory, write_run
 from edtorch.app.policies import frozen_world, stored_policies
+from edtorch.app.references import following_reward
 from edtorch.app.resume import changed, resume_with
 from edtorch.app.rundir import POLICY, SUMMARY, as_settings, read_config
 from edtorch.app.settings import Settings
@@ -58,6 +61,7 @@ GRADIENT = (
 
 Env = str | gymnasium.Env[Any, Any] | Callable[[], gymnasium.Env[Any, Any]] | Sim
 RewardFunction = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+Reference = Callable[[float], float] | Sequence[float] | np.ndarray | torch.Tensor
 
 
 def learn(
@@ -83,6 +87,10 @@ def learn(
     time_limit: float | None = None,
     scale: Mapping[str, float] | None = None,
     termination: Literal["failure", "success"] | None = None,
+    trial: float | None = None,
+    random: float | None = None,
+    horizon: float | None = None,
+    reference: Mapping[str, Reference] | None = None,
 ) -> Run:
     """Let ``seeds`` learners, with the seeds ``seed``, ``seed + 1``, ..., learn to control ``env``.
 
@@ -112,21 +120,29 @@ def learn(
     - ``rates``: by name of a rate the component that it is the rate of.
     - ``termination``: what it means that the environment terminates an episode, where neither its
       ``info["is_success"]`` nor its registered threshold tells: by default a failure.
+    - ``trial``: for presets that learn between trials (``swingup``, ``tracking``), seconds of one:
+      ``time_limit``; ``random``: of the first one, whose actions are random; ``horizon``: of a
+      plan.
+    - ``reference``: values to follow by component, each a function of the seconds since the start
+      of an episode, or values, one a tick, in physical units (``tracking``).
     - ``progress``: whether to print on the way; ``save``: a folder for ``Run.save``.
 
     Ctrl-C ends learning after the tick; the run then holds what there is.  Raises ValueError with
     one line for whatever is wrong with the arguments.
     """
-    world = WorldArguments(dt, time_limit, names, action_names, angles, rates, scale, termination)
     stop, began = Stop(), time.monotonic()
     console = Console(quiet=not progress)
     own = reward is not None or policy is not None
     with _refusing():
+        limit = longest(time_limit, trial)
+        world = WorldArguments(dt, limit, names, action_names, angles, rates, scale, termination)
         if env is None and preset == "regulation" and not _names_domain(overrides):
             raise ConfigError(
                 "env=None: expected an environment, which preset=regulation does not name"
             )
-        check_kinds(dict(target=target, weights=weights, overrides=overrides) | world.kinds())
+        searched = {"random": random, "horizon": horizon}
+        told = dict(target=target, weights=weights, reference=reference, overrides=overrides)
+        check_kinds(told | searched | world.kinds())
         config = compose(
             [
                 f"experiment={preset}",
@@ -134,12 +150,13 @@ def learn(
                 f"seeds={seeds}",
                 f"log.progress={str(progress).lower()}",
                 *budget_overrides(seconds, episodes),
+                *(f"search.{k}={v}" for k, v in searched.items() if v is not None),
                 *(GRADIENT if own and preset == "regulation" else ()),
                 *overrides,
             ]
         )
         config = _with_world(config, env, world, target)
-        config = _with_reward(config, env, target, weights, reward)
+        config = _with_reward(config, env, target, weights, reward, reference)
         if policy is not None:
             config = with_objects(config, {"policy": {"given": Given(policy)}})
         _check_copies(config, seeds)
@@ -310,7 +327,13 @@ def _with_world(
     told = world.given()
     for name in set(told) - {"dt", "time_limit"}:
         raise ConfigError(f"{name}={told[name]}: expected none without env")
-    return with_objects(config, {"domain": {**config.domain, **told}}) if told else config
+    if not told:
+        return config
+    domain = config.domain
+    # What wraps another simulator (sims.sensing.Sensed) has the times of that one.
+    if "sim" in domain and "time_limit" not in domain:
+        told = {"sim": {**domain.sim, **told}}
+    return with_objects(config, {"domain": {**domain, **told}})
 
 
 def _with_reward(
@@ -319,12 +342,16 @@ def _with_reward(
     target: Mapping[str, float] | None,
     weights: Mapping[str, float] | None,
     reward: RewardFunction | None,
+    reference: Mapping[str, Reference] | None,
 ) -> Settings:
     if reward is not None:
-        for name, value in (("target", target), ("weights", weights)):
+        for name, value in (("target", target), ("weights", weights), ("reference", reference)):
             if value is not None:
                 raise ConfigError(f"{name}={value}: expected none with a reward of your own")
         return with_objects(config, {"reward": {"given": Given(reward)}})
+    if reference is not None:
+        node = following_reward(build_sim(config.domain), reference, target, weights)
+        return with_objects(config, {"reward": node})
     if env is None and target is None and weights is None:
         return config
     node = reward_of(build_sim(config.domain), target, weights)

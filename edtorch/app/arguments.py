@@ -31,6 +31,7 @@ _ARGUMENTS = (
     (r"reward\.target\.", "target."),
     (r"reward\.(state|action)\.", "weights."),
     (r"train\.", ""),
+    (r"search\.(?=random|horizon)", ""),
     (r"experiment=", "preset="),
 )
 
@@ -66,13 +67,21 @@ def _is_list(value: Any) -> bool:
 
 
 _KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    **dict.fromkeys(("dt", "time_limit"), (_is_number, "a number of seconds")),
+    **dict.fromkeys(("dt", "time_limit", "random", "horizon"), (_is_number, "a number of seconds")),
     **dict.fromkeys(("names", "action_names"), (_is_list, "a list of names")),
     **dict.fromkeys(("target", "weights", "scale"), (_is_mapping, "{NAME: NUMBER, ...}")),
+    "reference": (_is_mapping, "{NAME: a function of seconds, or values, ...}"),
     "rates": (_is_mapping, "{RATE: COMPONENT, ...}"),
     "angles": (lambda v: _is_mapping(v) or _is_list(v), "a list of names, or {NAME: 'deg', ...}"),
     "overrides": (_is_list, "a list of texts, ['KEY=VALUE', ...]"),
 }
+
+
+def longest(time_limit: float | None, trial: float | None) -> float | None:
+    """Seconds of an episode, or of a trial, which is one.  Raises ConfigError for both."""
+    if time_limit is not None and trial is not None:
+        raise ConfigError(f"trial={trial}, time_limit={time_limit}: expected one of the two")
+    return time_limit if trial is None else trial
 
 
 @dataclass(frozen=True)

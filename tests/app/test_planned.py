@@ -101,12 +101,15 @@ def test_a_tip_follows_a_wave_after_seconds() -> None:
 
 @pytest.mark.experiment
 def test_a_stationary_policy_holds_for_longer_than_its_plan(tmp_path: Path) -> None:
-    longer = ("domain.sim.time_limit=8", "search.horizon=4", "search.random=4")
     run = edtorch.learn(
         preset="pendulum_swingup",
-        overrides=[*SMALL[1:], "search.policy=stationary", *longer],
+        trial=8,
+        random=4,
+        horizon=4,
+        overrides=[*SMALL[1:], "search.policy=stationary"],
         progress=False,
     )
+    assert all(each["seconds"] == pytest.approx(8) for each in run.episodes[1:])
     assert run.summary["seconds_to_solved"]["max"] <= 20
     assert run.episodes[0]["seconds"] == pytest.approx(4)
     again = edtorch.load(run.save(tmp_path / "pendulum"))
