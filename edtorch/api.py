@@ -28,7 +28,9 @@ from edtorch.app.arguments import (
     in_arguments,
     longest,
     reward_of,
+    with_prices,
 )
+from edtorch.app.build_planned import is_planned
 from edtorch.app.compose import compose
 from edtorch.app.compute import evaluation_mode
 from edtorch.app.domain import build_sim
@@ -102,8 +104,9 @@ def learn(
     - ``preset``: an experiment by name (``conf/experiment``); ``overrides``: further settings as on
       the command line, ``"unroll.horizon=20"``.
     - ``target``: wanted values by component, in physical units; other components have weight 0,
-      but for rates, which are damped with ``0.01 / scale**2``.  Without a target all components are
-      wanted at zero.  ``weights``: of squared deviations by component, and of squared actions.
+      but for rates, which are damped with ``0.01 / scale**2``, as actions are by presets that
+      plan.  Without a target all components are wanted at zero.  ``weights``: of squared
+      deviations by component, and of squared actions.
     - ``reward``: instead of both, a function or module of torch tensors in physical units: states
       ``[*batch, n]`` and actions ``[*batch, m]`` to ``[*batch]``.  A difference of angles is for
       it to wrap, or for ``angles`` to have wrap elsewhere.
@@ -354,7 +357,8 @@ def _with_reward(
         return with_objects(config, {"reward": node})
     if env is None and target is None and weights is None:
         return config
-    node = reward_of(build_sim(config.domain), target, weights)
+    sim = build_sim(config.domain)
+    node = reward_of(sim, target, with_prices(sim, weights) if is_planned(config) else weights)
     return with_objects(config, {"reward": {**config.reward, **node}})
 
 

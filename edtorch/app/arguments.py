@@ -186,6 +186,12 @@ def reward_of(
     return {"by_scale": True, "state": state, "action": action, "target": wanted}
 
 
+def with_prices(sim: Sim, weights: Mapping[str, float] | None) -> dict[str, float]:
+    """``weights`` with ``RATE_WEIGHT`` / scale^2 for actions that they do not name: plans with
+    actions that cost nothing use all of them."""
+    return {q.name: RATE_WEIGHT / q.scale**2 for q in sim.spec.action} | dict(weights or {})
+
+
 def _check_target(name: str, value: Any, states: Mapping[str, Quantity], spec: Spec) -> None:
     if name not in states:
         raise ConfigError(f"target.{name}={value}: expected one of {', '.join(states)}")

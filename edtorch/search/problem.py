@@ -51,6 +51,14 @@ class SearchProblem:
         """H, the horizon."""
         return len(self.rows) - 1
 
+    def check_prices(self, group: str) -> None:
+        """Refuse actions that cost nothing, for regulators.  ValueError begins with ``group``."""
+        if not (self.action > 0).all():
+            raise ValueError(
+                f"{group}: expected a reward in which every action has a weight > 0"
+                " (reward.action.NAME)"
+            )
+
 
 Left = Callable[[int, Tensor], Tensor]
 """(tick, readings ``[B, n]``) to whether each trial is to be given up, bool ``[B]``."""

@@ -41,11 +41,7 @@ class RegulatedSearch(RandomFirst):
         """See ``TrialSearch``: one local linear policy.  ValueError for unknown names held, and for
         actions that cost nothing."""
         self._target(problem)
-        if not (problem.action > 0).all():
-            raise ValueError(
-                "regulated: expected a reward in which every action has a weight > 0"
-                " (reward.action.NAME)"
-            )
+        problem.check_prices("regulated")
         squash = Squash(problem.middle, problem.half)
         return KnotPolicy(1, squash, problem.period, torch.ones_like(problem.period)), None
 

@@ -43,6 +43,7 @@ class Stationary:
                 "policy=stationary: expected a reward without a reference, which policy=timed"
                 " follows"
             )
+        problem.check_prices("policy=stationary")
         squash, metric = Squash(problem.middle, problem.half), _metric(problem)
         policy = KnotPolicy(ticks + 1, squash, problem.period, metric, self.width)
         return policy, None

@@ -71,6 +71,14 @@ def test_it_is_the_squared_distance_from_what_is_wanted_at_each_tick() -> None:
         ({"trial": 3.0}, "time_limit=3.0: expected none with a Sim, whose spec says it"),
         ({"random": -1.0}, "random=-1.0: expected a number > 0, or null"),
         ({"horizon": 2.0}, "horizon=2: expected the length of a trial, 4 s, with policy=timed"),
+        (
+            {
+                "target": {"angle": 0.0},
+                "weights": {"torque": 0.0},
+                "overrides": ["search.policy=stationary"],
+            },
+            "policy=stationary: expected a reward in which every action has a weight > 0",
+        ),
         ({"horizon": "long"}, "horizon='long': expected a number of seconds"),
     ],
 )
@@ -82,17 +90,19 @@ def test_bad_arguments_are_refused_in_one_line(arguments: dict[str, Any], words:
 
 
 @pytest.mark.experiment
-def test_a_simulator_of_ones_own_is_swung_up() -> None:
+@pytest.mark.parametrize("policy", ["timed", "stationary"])
+def test_a_simulator_of_ones_own_is_swung_up(policy: str) -> None:
     run = edtorch.learn(
         PendulumSwingUp(),
         preset="swingup",
         target={"angle": 0.0},
         random=2.0,
-        overrides=SMALL,
+        overrides=[*SMALL, f"search.policy={policy}"],
         progress=False,
     )
     assert run.episodes[0]["seconds"] == pytest.approx(2)
     assert run.summary["seconds_to_solved"]["max"] <= 10
+    assert run.policies[0].remembers is (policy == "timed")
 
 
 @pytest.mark.experiment
