@@ -28,6 +28,7 @@ from edtorch.run.episodes import Budget
 from edtorch.run.policy_file import PolicyCard
 from edtorch.run.scaled_sim import World
 from edtorch.run.trial import look_at_starts
+from edtorch.search.ipopt import casadi_module
 from edtorch.search.problem import SearchProblem, TrialSearch
 from edtorch.search.target import wanted_states
 from edtorch.types import Parameters
@@ -161,6 +162,12 @@ def build_planned(config: Settings) -> PlannedSetup:
             numba()
         except Unavailable as error:
             raise ConfigError(f"search={_name(config)}: its plans are compiled; {error}") from error
+        paths = config.search.get("programmed", 0)
+        try:
+            if paths:
+                casadi_module()
+        except Unavailable as error:
+            raise ConfigError(f"search.programmed={paths}: {error}") from error
     sim = build_sim(config.domain)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     reward = build_reward(config.reward, sim, torch.float64)

@@ -30,7 +30,7 @@ def reach(
     horizon, m = line.raw.shape
     if not 1 <= ticks <= horizon:
         raise ValueError(f"ticks={ticks}: expected 1 to {horizon}, the horizon of the line")
-    casadi, n = _casadi(), line.state.shape[1]
+    casadi, n = casadi_module(), line.state.shape[1]
     state, push = casadi.MX.sym("state", n, ticks + 1), casadi.MX.sym("push", m, ticks)
     after = tick_function(casadi, model).map(ticks)(state[:, :-1], push)
     change = push[:, 1:] - push[:, :-1]
@@ -63,7 +63,8 @@ def reach(
     return Plan(np.concatenate((moved, held)), raw, np.zeros_like(line.gain), np.inf)
 
 
-def _casadi() -> Any:
+def casadi_module() -> Any:
+    """The module casadi.  Raises Unavailable where it is missing."""
     try:
         return importlib.import_module("casadi")
     except ImportError as error:

@@ -17,13 +17,14 @@ from edtorch.policy.policies import Policy
 from edtorch.policy.squash import wrapped
 from edtorch.search.choice import choose, futures_of
 from edtorch.search.execution import Execution
+from edtorch.search.ipopt import reach
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.plan import Cost, Plan, ramp
 from edtorch.search.problem import Improvement, Left, SearchProblem
 from edtorch.search.quiet import quiet_gains
 from edtorch.search.random_first import RandomFirst
 from edtorch.search.segments import plan_through
-from edtorch.search.starts import lines, sinusoids, still
+from edtorch.search.starts import REST, lines, sinusoids, still
 from edtorch.search.stationary import Stationary
 from edtorch.search.target import mean_start
 from edtorch.search.tick_model import TickModel
@@ -37,7 +38,9 @@ EXECUTIONS: Mapping[str, Execution] = {"timed": Timed(), "stationary": Stationar
 @dataclass(frozen=True)
 class PlannedSearch(RandomFirst):
     """Plans from the mean start, by single shooting from ``starts`` swinging actions and the last
-    plans, and by multiple shooting from ``straight`` lines to the target.
+    plans, and by multiple shooting from ``straight`` lines to the target and from ``programmed``
+    paths to it (``edtorch.search.ipopt``, no more than there are choices of the directions in which
+    the angles turn).
 
     policy: what carries a plan out, ``timed`` (``edtorch.search.timed``) or ``stationary``, which
     goes on after it (``edtorch.search.stationary``).  horizon: seconds of a plan, None: of
@@ -59,6 +62,7 @@ class PlannedSearch(RandomFirst):
     squash: float = 1e-3
     starts: int = 8
     straight: int = 0
+    programmed: int = 0
     gains: Literal["plain", "covariance", "both"] = "both"
     keep: int = 6
     draws: int = 100
@@ -74,12 +78,13 @@ class PlannedSearch(RandomFirst):
     def __post_init__(self) -> None:
         """Refuse impossible settings."""
         super().__post_init__()
-        for name, least in (("starts", 0), ("straight", 0), ("keep", 1), ("draws", 1)):
+        counts = (("starts", 0), ("straight", 0), ("programmed", 0), ("keep", 1), ("draws", 1))
+        for name, least in counts:
             value = getattr(self, name)
             if value < least:
                 raise ValueError(f"{name}={value}: expected an integer >= {least}")
-        if not self.starts + self.straight:
-            raise ValueError("starts=0, straight=0: expected one of them above 0")
+        if not self.starts + self.straight + self.programmed:
+            raise ValueError("starts=0, straight=0, programmed=0: expected one of them above 0")
         if self.policy not in EXECUTIONS:
             raise ValueError(f"policy={self.policy}: expected one of {', '.join(EXECUTIONS)}")
         if self.substeps < 1:
@@ -176,7 +181,14 @@ class PlannedSearch(RandomFirst):
         straight: list[Plan] = []
         while len(straight) < self.straight:
             straight += lines(model.structure, start, goal[first], first, m, dt, generator)
-        return plan_through(model, cost, first, swings, straight[: self.straight], goal, self.keep)
+        paths: list[Plan | None] = []
+        if self.programmed:
+            direct = lines(model.structure, start, goal[first], first, m, dt, generator, wave=0.0)
+            arrival = max(1, first - round(REST / dt))
+            paths = [reach(model, line, arrival) for line in direct[: self.programmed]]
+        linked = [*straight[: self.straight], *(path for path in paths if path is not None)]
+        plans, dropped = plan_through(model, cost, first, swings, linked, goal, self.keep)
+        return plans, dropped + paths.count(None)
 
     def _ticks(self, problem: SearchProblem) -> tuple[int, int]:
         """Of the horizon, and of the first segment.  Raises ValueError."""

@@ -5,9 +5,13 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
+from torch import from_numpy
 
 from edtorch.model.mechanism import Structure
 from edtorch.search.plan import Plan
+
+REST = 1.0
+"""Seconds for which a goal is held at the end of a line."""
 
 
 def still(start: np.ndarray, raw: np.ndarray) -> Plan:
@@ -46,38 +50,35 @@ def lines(
     actions: int,
     dt: float,
     generator: np.random.Generator,
-    rest: float = 1.0,
+    rest: float = REST,
     wave: float = 0.3,
 ) -> list[Plan]:
     """Straight lines from a state to another ``[n]``, for multiple shooting.
 
-    The goal is reached ``rest`` seconds before the end, and held.  One line for each choice of
-    direction of the angles: the short way round to the goal, or the other; with three sinusoids of
-    ``wave`` rad in each angle.  Components whose derivative is another's value move at that rate;
-    the rates follow from their components.
+    The goal is reached ``rest`` seconds before the end, and held.  One line for each choice of the
+    directions in which the angles turn, those first that turn all of them the same way; with three
+    sinusoids of ``wave`` rad in each angle.  Components whose derivative is another's value move at
+    that rate; the rates follow from their components.
     """
     lift, n = structure.lift, len(start)
     turn = np.where(lift.angle, 2 * np.pi / lift.unit, 0.0)
-    way = goal - start
-    way[lift.angle] -= (turn * np.rint(way / np.where(lift.angle, turn, 1.0)))[lift.angle]
-    other = np.where(lift.angle, way - np.where(way > 0, turn, -turn), way)
+    way = structure.difference(from_numpy(goal), from_numpy(start)).numpy()
+    back = way - np.where(way > 0, turn, 0.0)
     seconds = dt * np.arange(ticks + 1)
     moving = max(dt, dt * ticks - rest)
     part = np.minimum(seconds / moving, 1.0)[:, None]
     plans = []
-    for round_ in product((False, True), repeat=int(lift.angle.sum())):
-        chosen = np.zeros(n, bool)
-        chosen[lift.angle] = round_
-        state = start + part * np.where(chosen, other, way)
-        fading = np.sin(np.pi * part)
-        waves = _waves(seconds, n, generator)
-        state += np.where(lift.angle, wave / lift.unit, 0.0) * waves * fading
+    choices = product((0.0, 1.0), repeat=int(lift.angle.sum()))
+    for forward in sorted(choices, key=lambda choice: len(set(choice))):
+        chosen = np.zeros(n)
+        chosen[lift.angle] = forward
+        state = start + part * (back + chosen * turn)
+        waves = _waves(seconds, n, generator) * np.sin(np.pi * part)
+        state += np.where(lift.angle, wave / lift.unit, 0.0) * waves
         for i in np.flatnonzero(structure.source >= 0):
-            rate = np.gradient(state[:, i], dt) / structure.ratio[i]
-            state[:, structure.source[i]] = rate
+            state[:, structure.source[i]] = np.gradient(state[:, i], dt) / structure.ratio[i]
         state[0] = start
-        raw = np.zeros((ticks, actions))
-        plans.append(Plan(state, raw, np.zeros((ticks, actions, n)), np.inf))
+        plans.append(Plan(state, np.zeros((ticks, actions)), np.zeros((ticks, actions, n)), np.inf))
     return plans
 
 

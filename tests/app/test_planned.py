@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ import pytest
 import torch
 
 import edtorch
-from edtorch.app.build_planned import Solved
+from edtorch.app.build_planned import Solved, build_planned
+from edtorch.app.compose import compose
+from edtorch.app.errors import ConfigError
 from sims.tasks.cart_pole import CartPole
 from tests.app.conftest import Result
 
@@ -157,7 +160,10 @@ def test_when_a_task_counts_as_solved(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["search.starts=0"], "search.starts=0, straight=0: expected one of them above 0"),
+        (
+            ["search.starts=0"],
+            "search.starts=0, straight=0, programmed=0: expected one of them above 0",
+        ),
         (
             ["search.ramp=5"],
             "search.ramp=5.0: expected seconds from 0.1 to 4, the length of a plan",
@@ -245,3 +251,17 @@ def test_models_of_a_search_are_no_models_of_a_learner(command: Callable[..., An
     result = command("edtorch-train", "model=implicit")
     assert result.status != 0
     assert "search=planned" in result.line
+
+
+def test_paths_by_ipopt_need_casadi(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(ConfigError, match=r"search\.programmed=2: casadi cannot be imported"):
+        build_planned(compose([*SMALL, "search.programmed=2"]))
+
+
+@pytest.mark.experiment
+def test_paths_by_ipopt_are_planned_from() -> None:
+    pytest.importorskip("casadi")
+    overrides = [*SMALL[1:], "search.starts=0", "search.programmed=1", "train.episodes=2"]
+    run = edtorch.learn(preset="pendulum_swingup", seeds=1, overrides=overrides, progress=False)
+    assert run.summary["never_solved"] == []

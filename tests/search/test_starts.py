@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from edtorch.model.lift import Lift
+from edtorch.model.mechanism import Structure
+from edtorch.model.terms import Terms
 from edtorch.search.starts import lines, sinusoids
 from tests.planning import HANGING, swing_up
 
@@ -49,3 +52,16 @@ def test_without_waves_a_line_is_straight() -> None:
     model, generator = swing_up(), np.random.default_rng(0)
     for plan in lines(model.structure, HANGING, np.zeros(4), 40, 1, 0.1, generator, wave=0.0):
         np.testing.assert_allclose(np.diff(plan.state[:31, 2], n=2), 0.0, atol=1e-12)
+
+
+def test_lines_that_turn_every_angle_the_same_way_come_first() -> None:
+    """From about hanging, where the short way round is the one or the other by chance."""
+    names = ("1", "sin p", "cos p", "sin q", "cos q", "u")
+    lift = Lift(np.ones(2, bool), np.array([1, 3]), np.ones(2), 5, names)
+    terms = Terms(np.array([[5]]), np.array([-1]))
+    structure = Structure(lift, terms, np.arange(2), np.full(2, -1), np.zeros(2))
+    start, generator = np.array([np.pi + 0.01, np.pi - 0.01]), np.random.default_rng(0)
+    found = lines(structure, start, np.zeros(2), 40, 1, 0.1, generator)
+    turned = np.array([plan.state[-1] - start for plan in found])
+    assert (np.sign(turned) == [[-1, -1], [1, 1], [-1, 1], [1, -1]]).all()
+    np.testing.assert_allclose(np.cos(start + turned), 1.0)
