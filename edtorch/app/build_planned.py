@@ -85,10 +85,10 @@ class PlannedSetup:
 
     def length(self, number: int) -> float:
         """Seconds of a trial at most, by its number."""
-        whole = self.ticks * self.world.dt
-        first = self.search.random
-        random = number < self.search.random_trials
-        return min(first, whole) if random and first is not None else whole
+        search, whole = self.search, self.ticks * self.world.dt
+        random = number < search.random_trials
+        asked = search.random if random and search.random is not None else search.trial
+        return whole if asked is None else min(asked, whole)
 
 
 def is_planned(config: Settings) -> bool:
@@ -182,7 +182,7 @@ def build_planned(config: Settings) -> PlannedSetup:
         actor, _ = search.actor(problem)
     budget = given_budget(config.train) or Budget(episodes=10)
     check_ticks(budget, world.dt)
-    first = min(world.limit_ticks * world.dt, search.random or math.inf)
+    first = min(world.limit_ticks * world.dt, search.random or search.trial or math.inf)
     if budget.seconds is not None and budget.seconds < first - 1e-9:
         raise ConfigError(
             f"train.seconds={budget.seconds:g}: expected at least the first trial, {first:g} s"

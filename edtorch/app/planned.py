@@ -355,7 +355,7 @@ class PlannedLearners(Work):
             "never_solved": [
                 self.seeds[row] for row, seed in enumerate(seeds) if seed.solved is None
             ],
-            "success_rate_after_trial": [seed.rates for seed in seeds],
+            "success_rate_after_trial": [[_shown(rate) for rate in seed.rates] for seed in seeds],
             "seconds_after_trial": [seed.seconds_after for seed in seeds],
             "cpu_s_of_trial": [seed.cpu_s for seed in seeds],
             "simulated_seconds": lived,
@@ -375,16 +375,17 @@ class PlannedLearners(Work):
 def _to_solved(values: Sequence[float | None]) -> dict[str, Any]:
     """Median and extremes with unsolved seeds as infinity, which is null."""
     numbers = [math.inf if value is None else float(value) for value in values]
-
-    def shown(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
     return {
-        "per_seed": [shown(value) for value in numbers],
-        "median": shown(median_seconds(numbers)),
-        "min": shown(min(numbers)),
-        "max": shown(max(numbers)),
+        "per_seed": [_shown(value) for value in numbers],
+        "median": _shown(median_seconds(numbers)),
+        "min": _shown(min(numbers)),
+        "max": _shown(max(numbers)),
     }
+
+
+def _shown(value: float) -> float | None:
+    """In a file: null for what is not finite, or not known as no episode counts as a success."""
+    return value if math.isfinite(value) else None
 
 
 def _rate(episodes: Sequence[Episode]) -> float:

@@ -78,11 +78,12 @@ class Improvement:
 class TrialSearch(Protocol):
     """A search that acts for a trial at a time.
 
-    random: seconds of the first trials, with random actions; None: as long as any; random_trials:
-    how many there are; random_size: share of the range of the actions that they use.  figures:
-    names of those of an ``Improvement``.
+    trial: seconds of a trial, None: as long as an episode; random: of the first trials, with random
+    actions, None: as long as any; random_trials: how many there are; random_size: share of the
+    range of the actions that they use.  figures: names of those of an ``Improvement``.
     """
 
+    trial: float | None
     random: float | None
     random_trials: int
     random_size: float

@@ -1,4 +1,4 @@
-"""The trials with random actions that a search begins with."""
+"""How long trials last, and those with random actions that a search begins with."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RandomFirst:
-    """random: seconds of a random trial, None: a whole one; random_trials: how many there are;
-    random_size: share of the range of the actions that they use."""
+    """trial: seconds of a trial, None: a whole episode; random: of a random one, None: as long as
+    any; random_trials: how many there are; random_size: share of the range of the actions that they
+    use."""
 
+    trial: float | None = None
     random: float | None = None
     random_trials: int = 1
     random_size: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse impossible settings."""
-        if self.random is not None and not self.random > 0:
-            raise ValueError(f"random={self.random}: expected a number > 0, or null")
+        for name in ("trial", "random"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ValueError(f"{name}={value}: expected a number > 0, or null")
         if self.random_trials < 1:
             raise ValueError(f"random_trials={self.random_trials}: expected an integer >= 1")
         if not 0 < self.random_size <= 1:
