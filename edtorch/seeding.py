@@ -42,3 +42,9 @@ def generator_seed(seed: int, purpose: Purpose) -> int:
     """A seed in [0, 2^63) for a generator of torch, from the stream of ``purpose``."""
     key = np.array(stream_key(seed, purpose), dtype=np.uint64)
     return int(np.random.Philox(key=key).random_raw()) >> 1
+
+
+def numpy_generator(seed: int, purpose: Purpose, episode: int = 0) -> np.random.Generator:
+    """A generator of numpy, from the stream of a seed."""
+    key = np.array(stream_key(seed, purpose, episode), dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key))

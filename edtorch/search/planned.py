@@ -20,7 +20,7 @@ from edtorch.search.execution import Execution
 from edtorch.search.ipopt import reach
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.plan import Cost, Plan, ramp
-from edtorch.search.problem import Improvement, Left, SearchProblem
+from edtorch.search.problem import Improvement, Left, SearchProblem, ticks_of
 from edtorch.search.quiet import quiet_gains
 from edtorch.search.random_first import RandomFirst
 from edtorch.search.segments import plan_through
@@ -29,7 +29,7 @@ from edtorch.search.stationary import Stationary
 from edtorch.search.target import mean_start
 from edtorch.search.tick_model import TickModel
 from edtorch.search.timed import Timed
-from edtorch.seeding import Purpose, stream_key
+from edtorch.seeding import Purpose, numpy_generator
 from edtorch.types import Parameters
 
 EXECUTIONS: Mapping[str, Execution] = {"timed": Timed(), "stationary": Stationary()}
@@ -128,7 +128,7 @@ class PlannedSearch(RandomFirst):
         whole = Cost(problem.rows, weight, problem.action, self.squash)
         cost = whole.part(0, horizon)
         starts = problem.starts(seed)
-        generator = _generator(seed, Purpose.PLAN, trial)
+        generator = numpy_generator(seed, Purpose.PLAN, trial)
         plans, dropped = self._plans(problem, model, cost, starts, knowledge, generator)
         if not plans:
             raise NoPlan(f"none of {dropped} starts led to a finite plan")
@@ -141,7 +141,7 @@ class PlannedSearch(RandomFirst):
             problem.ticks,
             self.draws,
             self.inflation,
-            _generator(seed, Purpose.POSTERIOR, trial),
+            numpy_generator(seed, Purpose.POSTERIOR, trial),
         )
         carried = EXECUTIONS[self.policy].carried(problem, model, whole, candidates, futures)
         chosen = choose([each.imagined for each in carried], problem.judge)
@@ -192,8 +192,8 @@ class PlannedSearch(RandomFirst):
 
     def _ticks(self, problem: SearchProblem) -> tuple[int, int]:
         """Of the horizon, and of the first segment.  Raises ValueError."""
-        horizon = _ticks_of("horizon", self.horizon, problem.ticks, problem.dt, "a trial")
-        return horizon, _ticks_of("ramp", self.ramp, horizon, problem.dt, "a plan")
+        horizon = ticks_of("horizon", self.horizon, problem.ticks, problem.dt, "a trial")
+        return horizon, ticks_of("ramp", self.ramp, horizon, problem.dt, "a plan")
 
     def _candidates(
         self,
@@ -214,17 +214,3 @@ class PlannedSearch(RandomFirst):
 
     def _is_noise_aware(self, place: int, plans: int) -> bool:
         return self.gains == "covariance" or place >= plans
-
-
-def _generator(seed: int, purpose: Purpose, trial: int) -> np.random.Generator:
-    key = np.array(stream_key(seed, purpose, trial), dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(key=key))
-
-
-def _ticks_of(name: str, seconds: float | None, most: int, dt: float, of: str) -> int:
-    ticks = most if seconds is None else round(seconds / dt)
-    if not 1 <= ticks <= most:
-        raise ValueError(
-            f"{name}={seconds}: expected seconds from {dt:g} to {dt * most:g}, the length of {of}"
-        )
-    return ticks

@@ -60,6 +60,17 @@ class SearchProblem:
             )
 
 
+def ticks_of(name: str, seconds: float | None, most: int, dt: float, of: str) -> int:
+    """Seconds of a setting as ticks, all of ``most`` for None; of: what has so many.  Raises
+    ValueError."""
+    ticks = most if seconds is None else round(seconds / dt)
+    if not 1 <= ticks <= most:
+        raise ValueError(
+            f"{name}={seconds}: expected seconds from {dt:g} to {dt * most:g}, the length of {of}"
+        )
+    return ticks
+
+
 Left = Callable[[int, Tensor], Tensor]
 """(tick, readings ``[B, n]``) to whether each trial is to be given up, bool ``[B]``."""
 
