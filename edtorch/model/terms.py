@@ -76,6 +76,20 @@ class Terms:
         entries = [k for i in told.acting for k in _entries(lift, i)] + _actions(lift)
         return _terms([(-1, factors) for factors in _monomials(lift, sorted(entries), degree)])
 
+    @classmethod
+    def of_state(
+        cls, lift: Lift, components: Iterable[int], degree: int, *, odd: bool = False
+    ) -> Terms:
+        """All monomials up to ``degree`` of the entries of these components of the state, without
+        the constant; odd: those alone that change their sign with the state.  For policies."""
+        entries = sorted(k for i in components for k in _entries(lift, i))
+        cosines = {int(k) + 1 for k in lift.at[lift.angle]}
+
+        def wanted(factors: Factors) -> bool:
+            return sum(k not in cosines for k in factors) % 2 == 1 if odd else bool(factors)
+
+        return _terms([(-1, f) for f in _monomials(lift, entries, degree) if wanted(f)])
+
     def __call__(self, lifted: Tensor) -> Tensor:
         """``[*batch, K]``, without the factors f_j, of A ``[*batch, size]``."""
         factors = torch.from_numpy(self.factors)
