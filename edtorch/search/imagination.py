@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from edtorch.search.plan import Cost, Plan
+from edtorch.search.policy_descent import Weighted
 from edtorch.search.program import kernels
 from edtorch.search.shooting import planning_problem
 from edtorch.search.tick_model import TickModel, real
@@ -62,6 +63,12 @@ def imagine_knots(model: TickModel, cost: Cost, knots: Knots, futures: Futures) 
     arrays = (knots.state, knots.raw, knots.gain, knots.factor, knots.metric)
     given = (*(real(array) for array in arrays), float(knots.width))
     return _imagined("imagine_knots", model, cost, given, futures, cost.ticks)
+
+
+def imagine_lifted(model: TickModel, cost: Cost, policy: Weighted, futures: Futures) -> Imagined:
+    """Roll-outs of a stationary policy linear in the lift, as ``imagine_knots``."""
+    given = (*policy.products, real(policy.weight))
+    return _imagined("imagine_lifted", model, cost, given, futures, cost.ticks)
 
 
 def _imagined(

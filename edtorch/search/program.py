@@ -13,7 +13,10 @@ import numpy as np
 from edtorch.native.program import ModuleSource, load_kernel
 
 _FOLDER = Path(__file__).parent / "kernels"
-_TEXTS = ("mechanism.py", "cost.py", "shooting.py", "quiet.py", "imagined.py")
+_TEXTS = (
+    *("mechanism.py", "cost.py", "shooting.py", "quiet.py", "imagined.py"),
+    "lifted_policy.py",
+)
 
 
 def planner_source() -> ModuleSource:
@@ -33,6 +36,7 @@ def _entries() -> dict[str, tuple[object, ...]]:
     settings = (0.1, 0.1, 0.1, 0.1, 0.1, 1, 0.1, 1, 0.1)
     expansion, plan = (three, three, two, three, two, two), (two, two, three)
     knots = (two, two, three, one, one, 0.1)
+    products = (index, index, index)
     room = (one, one, two, two, two, index, one, two, one, two, three)
     return {
         "room_for": (1, 1, model),
@@ -45,6 +49,9 @@ def _entries() -> dict[str, tuple[object, ...]]:
         "quieten": (expansion, (0.1, 1, 0.1), three, three, two, two),
         "imagine": (model, three, cost, bounds, plan, two, three, three, one),
         "imagine_knots": (model, three, cost, bounds, knots, two, three, three, one),
+        "imagine_lifted": (model, three, cost, bounds, (*products, two), two, three, three, one),
+        "policy_cost": (*problem, products, two, two),
+        "policy_expansion": (*problem, products, two, two, one, two),
     }
 
 

@@ -1,0 +1,177 @@
+"""A stationary policy z = theta phi(A(s)): what its roll-outs cost, and how that depends on theta.
+
+policy: tuple (parent, factor, node) of the tree of products that phi [F] are, as the terms of a
+model; theta [m, F].  Weight p = j F + k is theta[j, k]; P = m F.
+"""
+
+
+@outer
+def policy_raw(x, model, policy, theta, entry, product, raw):
+    """raw = theta phi(A(s)), with x = (s, anything); product: of the tree."""
+    parent, factor, node = policy
+    lift_into(x, model[0], entry)
+    product[0] = 1.0
+    for p in range(1, len(parent)):
+        product[p] = product[parent[p]] * entry[factor[p]]
+    for j in range(len(raw)):
+        raw[j] = 0.0
+        for k in range(len(node)):
+            raw[j] += theta[j, k] * product[node[k]]
+
+
+@outer
+def policy_slope(model, policy, theta, entry, product, adjoint, by_entry, by):
+    """by [m, n] = dz/ds, after ``policy_raw``, by one sweep backwards for each action."""
+    parent, factor, node = policy
+    angle, at, unit, action_at = model[0]
+    for j in range(len(by)):
+        adjoint[:] = 0.0
+        by_entry[:] = 0.0
+        for k in range(len(node)):
+            adjoint[node[k]] += theta[j, k]
+        for p in range(len(parent) - 1, 0, -1):
+            by_entry[factor[p]] += adjoint[p] * product[parent[p]]
+            adjoint[parent[p]] += adjoint[p] * entry[factor[p]]
+        for i in range(len(angle)):
+            e = at[i]
+            by[j, i] = by_entry[e]
+            if angle[i]:
+                by[j, i] = unit[i] * (by_entry[e] * entry[e + 1] - by_entry[e + 1] * entry[e])
+
+
+@outer
+def policy_cost(model, weight, cost, bounds, policy, theta, start):
+    """Mean cost from starts [S, n]; inf where one is not finite."""
+    middle, half = bounds
+    m, n = len(middle), start.shape[1]
+    room, x, none = room_for(n, m, model), np.zeros(n + m), np.zeros(m)
+    entry, product, raw = np.zeros(len(room[0])), np.zeros(len(policy[0])), np.zeros(m)
+    after, total = np.zeros(n), 0.0
+    for p in range(len(start)):
+        place(x, start[p])
+        for t in range(len(cost[1]) - 1):
+            policy_raw(x, model, policy, theta, entry, product, raw)
+            for j in range(m):
+                x[n + j] = middle[j] + half[j] * math.tanh(raw[j])
+            total += action_cost(raw, none, cost)
+            tick(x, weight, model, room, after)
+            place(x, after)
+            total += state_cost(x, t + 1, model, cost, room)
+            if not math.isfinite(total):
+                return np.inf
+    return total / len(start)
+
+
+@outer
+def add_square(factor, row, gradient_factor, gradient, hessian):
+    """gradient += gradient_factor row, hessian += factor row row' (its lower half)."""
+    for p in range(len(row)):
+        gradient[p] += gradient_factor * row[p]
+        scaled = factor * row[p]
+        for q in range(p + 1):
+            hessian[p, q] += scaled * row[q]
+
+
+@outer
+def policy_expansion(model, weight, cost, bounds, policy, theta, start, gradient, hessian):
+    """``policy_cost``, its gradient [P] in theta and its Hessian [P, P] by Gauss and Newton.
+
+    Forward sensitivities S = ds/dtheta [n, P]: dz = dz/ds S + phi, S' = ds'/ds S + ds'/du du/dz dz.
+    """
+    middle, half = bounds
+    m, n, size = len(middle), start.shape[1], len(gradient)
+    features = size // m
+    room, x, none = room_for(n, m, model), np.zeros(n + m), np.zeros(m)
+    entry, product, raw = np.zeros(len(room[0])), np.zeros(len(policy[0])), np.zeros(m)
+    adjoint, by_entry = np.zeros(len(policy[0])), np.zeros(len(room[0]))
+    by_state, by = np.zeros((m, n)), np.zeros((n, n + m))
+    sensitivity, next_one, moved = np.zeros((n, size)), np.zeros((n, size)), np.zeros((n, size))
+    by_theta, state_gradient, state_hessian = np.zeros((m, size)), np.zeros(n), np.zeros((n, n))
+    after, total = np.zeros(n), 0.0
+    gradient[:] = 0.0
+    hessian[:] = 0.0
+    for s in range(len(start)):
+        place(x, start[s])
+        sensitivity[:] = 0.0
+        for t in range(len(cost[1]) - 1):
+            policy_raw(x, model, policy, theta, entry, product, raw)
+            policy_slope(model, policy, theta, entry, product, adjoint, by_entry, by_state)
+            total += action_cost(raw, none, cost)
+            for j in range(m):
+                part = math.tanh(raw[j])
+                steep = 1.0 - part * part
+                for p in range(size):
+                    value = 0.0
+                    for i in range(n):
+                        value += by_state[j, i] * sensitivity[i, p]
+                    by_theta[j, p] = value
+                for k in range(features):
+                    by_theta[j, j * features + k] += product[policy[2][k]]
+                add_square(
+                    2 * cost[2][j] * steep * steep + 2 * cost[3],
+                    by_theta[j],
+                    2 * cost[2][j] * part * steep + 2 * cost[3] * raw[j],
+                    gradient,
+                    hessian,
+                )
+                x[n + j] = middle[j] + half[j] * part
+            tick_jacobian(x, weight, model, room, after, by)
+            for i in range(n):
+                for p in range(size):
+                    value = 0.0
+                    for q in range(n):
+                        value += by[i, q] * sensitivity[q, p]
+                    next_one[i, p] = value
+                for j in range(m):
+                    part = math.tanh(raw[j])
+                    along = by[i, n + j] * half[j] * (1.0 - part * part)
+                    for p in range(size):
+                        next_one[i, p] += along * by_theta[j, p]
+            copy_table(sensitivity, next_one)
+            place(x, after)
+            total += state_cost(x, t + 1, model, cost, room)
+            expand_state(x, t + 1, model, cost, room, state_gradient, state_hessian)
+            for i in range(n):
+                for p in range(size):
+                    gradient[p] += state_gradient[i] * sensitivity[i, p]
+                    value = 0.0
+                    for q in range(n):
+                        value += state_hessian[i, q] * sensitivity[q, p]
+                    moved[i, p] = value
+            for i in range(n):
+                for p in range(size):
+                    for q in range(p + 1):
+                        hessian[p, q] += sensitivity[i, p] * moved[i, q]
+            if not math.isfinite(total):
+                return np.inf
+    for p in range(size):
+        gradient[p] /= len(start)
+        for q in range(p + 1):
+            hessian[p, q] /= len(start)
+            hessian[q, p] = hessian[p, q]
+    return total / len(start)
+
+
+@outer
+def imagine_lifted(model, weight, cost, bounds, lifted, start, noise, state, value):
+    """Of such a policy: tuple (parent, factor, node, theta).  Arguments as of ``imagine``."""
+    policy, theta = lifted[:3], lifted[3]
+    n, m = start.shape[1], len(theta)
+    room, x = room_for(n, m, model), np.zeros(n + m)
+    entry, product = np.zeros(len(room[0])), np.zeros(len(policy[0]))
+    raw, none = np.zeros(m), np.zeros(m)
+    for p in range(len(start)):
+        for i in range(n):
+            state[p, 0, i] = start[p, i]
+        value[p] = 0.0
+        for t in range(noise.shape[1]):
+            for i in range(n):
+                x[i] = state[p, t, i] + noise[p, t, i]
+            policy_raw(x, model, policy, theta, entry, product, raw)
+            value[p] += imagined_tick(
+                t, raw, none, x, weight[p], model, cost, bounds, room, state[p]
+            )
+            if not math.isfinite(value[p]):
+                value[p] = np.inf
+                state[p, t + 1 :] = np.nan
+                break
