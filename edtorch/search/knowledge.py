@@ -18,7 +18,8 @@ WARM = 3
 @dataclass(frozen=True)
 class Knowledge:
     """readings: of each trial ``[T + 1, n]``; actions ``[T, m]``, valid ``[T]``, all scaled; plans:
-    raw actions ``[H, m]`` of the last plans that were carried out, the last one first."""
+    raw actions ``[H, m]`` of the last plans that were carried out, or weights ``[m, F]`` of the
+    last policies, the last one first."""
 
     readings: Sequence[Tensor] = ()
     actions: Sequence[Tensor] = ()
