@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import EpisodeMemory
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters, Transition
 

@@ -22,7 +22,7 @@ from edtorch.app.settings import Settings
 from edtorch.app.signals import Stop
 from edtorch.app.summary import Timing
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import EpisodeMemory
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.run.episodes import Budget, Episode
 from edtorch.run.log import Entry, Sink
 from edtorch.run.policy_file import PolicyCard

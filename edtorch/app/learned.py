@@ -16,8 +16,8 @@ from edtorch.app.acting import LearnedPolicy
 from edtorch.app.best import score
 from edtorch.app.domain import described, measured
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import EpisodeMemory
 from edtorch.native.evaluation import Mode, evaluate_policies
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.report.statistics import by_row
 from edtorch.run.episodes import Episode
 from edtorch.run.log import read_episodes

@@ -18,7 +18,7 @@ from edtorch.app.reward import build_reward
 from edtorch.app.rivals import build_rival, rival_card
 from edtorch.app.settings import Settings
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import EpisodeMemory
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.rivals.base import Storing
 from edtorch.run.files import FileProblem
 from edtorch.run.policy_file import load_policy, policy_dtype, saved_seeds

@@ -8,7 +8,6 @@ frozen policy needs the same observer, and the model it estimates with (``Learne
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from torch import Tensor
 
@@ -17,32 +16,6 @@ from edtorch.learner.filter import JointFilter
 from edtorch.model.models import DerivativeModel, NextStateModel
 from edtorch.policy.policies import bounded
 from edtorch.types import Belief, Parameters, Transition, replace, select
-
-
-class EpisodeMemory(Protocol):
-    """What acts with a frozen policy: it turns observations into what the policy takes.
-
-    What it keeps of an episode is a mapping of tensors ``[B, ...]``; parameters: those of the
-    policies, ``[B, ...]`` each.
-    """
-
-    def initial(self, observation: Tensor, /) -> Parameters:
-        """What is kept at the beginning of an episode, from its first observation ``[B, n]``."""
-        ...
-
-    def begin(self, memory: Parameters, fresh: Tensor, observation: Tensor, /) -> Parameters:
-        """New episodes for those that are ``fresh`` ``[B]``."""
-        ...
-
-    def now(self, parameters: Parameters, memory: Parameters, observation: Tensor, /) -> Tensor:
-        """What the policy takes at this moment, ``[B, ...]``."""
-        ...
-
-    def follow(
-        self, parameters: Parameters, memory: Parameters, transition: Transition, /
-    ) -> Parameters:
-        """What is kept after a tick."""
-        ...
 
 
 @dataclass(frozen=True)

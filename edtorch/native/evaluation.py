@@ -17,11 +17,11 @@ import torch
 from numpy.typing import NDArray
 
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import EpisodeMemory
 from edtorch.native.choice import Mode
 from edtorch.native.plan import KernelPlan, NoKernel, add_policy, add_world, begun, place
 from edtorch.native.program import Unavailable, load_kernel
 from edtorch.native.source import source_of
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.run import evaluation
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import starts

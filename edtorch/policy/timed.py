@@ -17,7 +17,7 @@ class TimedPolicy:
 
     parameters: ``state`` ``[B, H + 1, n]``, ``raw`` z ``[B, H, m]``, ``gain`` K ``[B, H, m, n]``,
     scaled.  It takes states with the number of the tick appended ``[*more, B, n + 1]``
-    (``edtorch.learner.clock.EpisodeClock``); after the horizon the last gain stays.  period
+    (``edtorch.policy.clock.EpisodeClock``); after the horizon the last gain stays.  period
     ``[n]``: of angles, see ``edtorch.policy.squash.wrapped``.
     """
 

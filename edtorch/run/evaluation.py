@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from edtorch.learner.learner import Actor
-from edtorch.learner.observer import EpisodeMemory
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.run.episodes import Episode
 from edtorch.run.random import Purpose, Streams, learning_streams, stream_key
 from edtorch.run.rollout import finished, rollout

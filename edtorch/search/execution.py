@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from edtorch.learner.observer import EpisodeMemory
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.search.imagination import Futures, Imagined
 from edtorch.search.plan import Cost, Plan

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from edtorch.errors import NoPlan
-from edtorch.learner.observer import EpisodeMemory
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import wrapped
 from edtorch.search.choice import choose, futures_of

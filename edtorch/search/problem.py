@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from torch import Tensor
 
-from edtorch.learner.observer import EpisodeMemory
 from edtorch.model.batch_fit import LearnedModel
 from edtorch.model.mechanism import Structure
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.search.knowledge import Knowledge
 from edtorch.types import Parameters, Transition

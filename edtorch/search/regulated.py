@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from edtorch.errors import NoPlan
-from edtorch.learner.observer import EpisodeMemory
 from edtorch.policy.knots import KnotPolicy
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash
 from edtorch.search.knowledge import Knowledge

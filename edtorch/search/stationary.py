@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from edtorch.errors import NoPlan
-from edtorch.learner.observer import EpisodeMemory
 from edtorch.policy.knots import KnotPolicy
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash
 from edtorch.search.execution import Carried

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from edtorch.learner.clock import EpisodeClock
-from edtorch.learner.observer import EpisodeMemory
+from edtorch.policy.clock import EpisodeClock
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash, wrapped
 from edtorch.policy.timed import TimedPolicy

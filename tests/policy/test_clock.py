@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from edtorch.learner.clock import EpisodeClock
+from edtorch.policy.clock import EpisodeClock
 from edtorch.types import Transition
 
 

@@ -11,7 +11,7 @@ from edtorch.types import Parameters, Transition, select
 class EpisodeClock:
     """Appends the ticks since the start of the episode to an observation: ``[B, n] -> [B, n + 1]``.
 
-    Its memory: ``ticks`` ``[B]``, in the type of the observation (``edtorch.learner.observer.
+    Its memory: ``ticks`` ``[B]``, in the type of the observation (``edtorch.policy.memory.
     EpisodeMemory``).
     """
 
