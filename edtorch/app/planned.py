@@ -77,7 +77,7 @@ class PlannedLearners(Work):
         spec = setup.world.spec
         self.title = f"{spec.name}, {setup.name}, {len(setup.seeds)} seeds"
         self.notes = [
-            f"{self.title}; trials of {setup.ticks * spec.dt:g} s, at most"
+            f"{self.title}; trials of {setup.length(setup.search.random_trials):g} s, at most"
             f" {setup.budget.in_words('successes')}; told: {setup.told}",
         ]
         self.seeds, self.budget, self.world = setup.seeds, setup.budget, setup.calm
