@@ -200,7 +200,7 @@ def build_planned(config: Settings) -> PlannedSetup:
         trials=budget.episodes,
         initial=actor.initial(seeds),
         card=policy_card(sim, actor, seeds),
-        told=told.words,
+        told="; ".join(part for part in (told.words, search.prior) if part),
         episodes=config.eval.episodes,
         native=evaluation_mode(config),
         threads=config.compute.threads,

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from edtorch.errors import NoPlan
-from edtorch.learner.observer import EpisodeMemory
 from edtorch.model.lift import Lift
 from edtorch.model.terms import Terms
 from edtorch.policy.lifted import LiftedPolicy
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash
 from edtorch.search.choice import choose, futures_of
@@ -76,6 +76,11 @@ class GradientSearch(RandomFirst):
             value = getattr(self, name)
             if not value >= 0:
                 raise ValueError(f"{name}={value}: expected a number >= 0")
+
+    @property
+    def prior(self) -> str:
+        """See ``RandomFirst``."""
+        return "the policy is odd" if self.odd else ""
 
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """See ``TrialSearch``.  ValueError for a reward with a reference, which no stationary

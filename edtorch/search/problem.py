@@ -100,6 +100,11 @@ class TrialSearch(Protocol):
     random_size: float
     figures: tuple[str, ...]
 
+    @property
+    def prior(self) -> str:
+        """What the search is told of the task beside the components of the state, in words."""
+        ...
+
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """Who acts by the parameters of an improvement, and what goes with it."""
         ...

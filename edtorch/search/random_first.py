@@ -26,3 +26,8 @@ class RandomFirst:
             raise ValueError(f"random_trials={self.random_trials}: expected an integer >= 1")
         if not 0 < self.random_size <= 1:
             raise ValueError(f"random_size={self.random_size}: expected a number in (0, 1]")
+
+    @property
+    def prior(self) -> str:
+        """What the search is told of the task beside the components of the state, in words."""
+        return ""

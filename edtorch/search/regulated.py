@@ -37,6 +37,11 @@ class RegulatedSearch(RandomFirst):
 
     figures = ("transitions", "terms", "model_error", "largest_gain")
 
+    @property
+    def prior(self) -> str:
+        """See ``RandomFirst``."""
+        return f"held: {', '.join(f'{name} {value:g}' for name, value in self.held.items())}"
+
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """See ``TrialSearch``: one local linear policy.  ValueError for unknown names held, and for
         actions that cost nothing."""

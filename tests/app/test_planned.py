@@ -139,6 +139,7 @@ def test_a_pole_is_held_by_the_regulator_of_its_model() -> None:
     )
     assert run.summary["never_solved"] == []
     assert run.evaluate(10)["failure_rate"] == [0.0]
+    assert run.summary["told"].endswith("held: angle 0, position 0")
 
 
 @pytest.mark.parametrize(
