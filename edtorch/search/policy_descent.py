@@ -53,7 +53,7 @@ class PolicyDescent:
     least: float = 1e-4
 
 
-DESCENT = PolicyDescent()
+POLICY_DESCENT = PolicyDescent()
 
 
 def expansion(
@@ -77,7 +77,7 @@ def descend(
     cost: Cost,
     policy: Weighted,
     start: np.ndarray,
-    descent: PolicyDescent = DESCENT,
+    descent: PolicyDescent = POLICY_DESCENT,
 ) -> Weighted:
     """The policy improved for these starts ``[S, n]``; its cost is inf where it was from the first.
 
