@@ -52,13 +52,14 @@ def share(proportion: Proportion) -> str:
 def record_row(name: str, summary: Mapping[str, Any], about: Mapping[str, Any]) -> list[str]:
     """One row of the table of records."""
     limit = float(about.get("within", math.inf))
-    fresh = [rate for rate in summary["success_rate"]["per_seed"] if rate is not None]
+    rates = summary.get("success_rate") or summary["return"]
+    fresh = [rate for rate in rates["per_seed"] if rate is not None]
     cpu = [s for own in summary["cpu_s_of_trial"] for s in own]
     return [
         name.replace("_", " "),
         seconds_told(summary),
         f"{share(within(summary, limit))} within {limit:g} s",
-        f"{statistics.median(fresh):.2f} [{min(fresh):.2f}]",
+        f"{statistics.median(fresh):.4g} [{min(fresh):.4g}]",
         f"{statistics.median(cpu):.1f}",
         summary["told"],
         str(about.get("published", "–")),
@@ -79,7 +80,7 @@ def ablation_row(name: str, summary: Mapping[str, Any]) -> list[str]:
 
 RECORDS = (
     *("task", "seconds to solved, median [min, max]", "solved, Wilson 95 %"),
-    *("success in other episodes, median [min]", "CPU s a trial", "told", "published"),
+    *("success, or return, in other episodes, median [min]", "CPU s a trial", "told", "published"),
 )
 ABLATION = (
     *("without", "solved after the first trial", "solved", "seconds, median [min, max]"),
