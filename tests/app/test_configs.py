@@ -75,10 +75,13 @@ BESIDE = {
     ("fit", "paths"): SEARCH,
     ("reward", "lifted"): SEARCH,
     ("search", "planned"): SEARCH,
-    ("search", "regulated"): [
-        *("experiment=swingup", "domain=pendulum_swingup", "+reward.state.angle=1"),
-        "+reward.action.torque=1",
-    ],
+    **{
+        ("search", name): [
+            *("experiment=swingup", "domain=pendulum_swingup", "+reward.state.angle=1"),
+            "+reward.action.torque=1",
+        ]
+        for name in ("gradient", "regulated")
+    },
     ("domain", "cardea"): ["reward=quadratic", "+reward.state.tilt=1"],
     ("inverse", "learned"): CARDEA,
     ("inverse", "kinematic"): CARDEA,
