@@ -97,7 +97,7 @@ def is_planned(config: Settings) -> bool:
 
 
 def build_told(config: Settings, world: World) -> Told:
-    """What is told of the state: by the domain, and by names under ``told``."""
+    """Prior knowledge of the state's components, from the domain and the group ``told``."""
     told = config.told
     with under("told"):
         return Told.of(

@@ -210,8 +210,8 @@ class OnlineGroup:
 
 @dataclass(frozen=True)
 class ToldGroup:
-    """What is told of the components of the state, by name, beside what the domain tells, for a
-    search between trials: see ``edtorch.model.told.Told``."""
+    """Prior knowledge of the state's components by name, in addition to the domain's, for a search
+    between trials: see ``edtorch.model.told.Told``."""
 
     angles: Sequence[str] = ()
     rates: Mapping[str, str] = _empty()

@@ -1,4 +1,4 @@
-"""What is told about a system beside its readings: nothing of it is guessed from data."""
+"""Prior knowledge of a system's components; none of it is inferred from data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sims.base import Quantity, Spec
 
 @dataclass(frozen=True)
 class Told:
-    """What is told of each component of the state, in the order of ``names`` (n of them).
+    """Prior knowledge of the n components of the state, in the order of ``names``.
 
     unit: the scale by which the learner's states are divided; angle: whether it is one, in rad
     before it is divided; rate_of: index of the component whose time derivative it is, -1 if none;

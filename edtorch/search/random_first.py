@@ -29,5 +29,5 @@ class RandomFirst:
 
     @property
     def prior(self) -> str:
-        """What the search is told of the task beside the components of the state, in words."""
+        """Prior knowledge of the task other than that of the state's components, in words."""
         return ""
