@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.circle import wrapped
 from edtorch.model.lift import Lift
 from edtorch.model.terms import Terms
 from edtorch.model.told import Told
@@ -69,9 +70,7 @@ class Structure:
 
     def difference(self, end: Tensor, start: Tensor) -> Tensor:
         """end - start ``[*batch, n]``, the short way round the circle where it is an angle."""
-        period, found = self.period, end - start
-        turns = torch.round(found / torch.where(period > 0, period, torch.inf))
-        return found - period * turns
+        return wrapped(end - start, self.period)
 
 
 def accelerations(structure: Structure, weight: Tensor, state: Tensor, action: Tensor) -> Tensor:

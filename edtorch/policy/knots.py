@@ -16,8 +16,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from edtorch.circle import wrapped
 from edtorch.linalg import matvec
-from edtorch.policy.squash import Squash, wrapped
+from edtorch.policy.squash import Squash
 from edtorch.types import Parameters
 
 

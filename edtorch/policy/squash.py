@@ -26,10 +26,3 @@ class Squash:
         part = ((action - self.middle) / self.half).clamp(-0.99, 0.99)
         # u = middle + half tanh(z): du = half (1 - tanh(z)^2) dz.
         return part.atanh(), gain / (self.half * (1 - part.square())).unsqueeze(-1)
-
-
-def wrapped(difference: Tensor, period: Tensor) -> Tensor:
-    """Differences of states ``[*batch, n]``, those of angles within half a turn; period ``[n]``: of
-    each component, 0 for what does not wrap."""
-    turns = torch.round(difference / torch.where(period > 0, period, torch.inf))
-    return difference - period * turns

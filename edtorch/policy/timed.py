@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from edtorch.circle import wrapped
 from edtorch.linalg import matvec
-from edtorch.policy.squash import Squash, wrapped
+from edtorch.policy.squash import Squash
 from edtorch.types import Parameters
 
 
@@ -18,7 +19,7 @@ class TimedPolicy:
     parameters: ``state`` ``[B, H + 1, n]``, ``raw`` z ``[B, H, m]``, ``gain`` K ``[B, H, m, n]``,
     scaled.  It takes states with the number of the tick appended ``[*more, B, n + 1]``
     (``edtorch.policy.clock.EpisodeClock``); after the horizon the last gain stays.  period
-    ``[n]``: of angles, see ``edtorch.policy.squash.wrapped``.
+    ``[n]``: of angles, see ``edtorch.circle.wrapped``.
     """
 
     label = "TimedPolicy"

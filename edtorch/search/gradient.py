@@ -103,14 +103,7 @@ class GradientSearch(RandomFirst):
         """See ``TrialSearch``."""
         learned = problem.learn(knowledge.transitions(problem.dt), knowledge.trial)
         structure = problem.structures[learned.name]
-        model = TickModel(
-            structure,
-            learned.posterior.weight.numpy(),
-            problem.dt,
-            problem.middle.numpy(),
-            problem.half.numpy(),
-            self.substeps,
-        )
+        model = problem.tick_model(learned, self.substeps)
         starts = problem.starts(seed)
         found = self._policies(problem, model, starts[: self.starts], knowledge, seed, trial)
         finite = [policy for policy in found if np.isfinite(policy.cost)]
@@ -119,7 +112,7 @@ class GradientSearch(RandomFirst):
         futures = futures_of(
             learned.posterior,
             starts,
-            learned.reading_noise if problem.noise is None else problem.noise,
+            problem.noise_of(learned),
             problem.ticks,
             self.draws,
             self.inflation,

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.circle import wrapped
 from edtorch.errors import NoPlan
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
-from edtorch.policy.squash import wrapped
 from edtorch.search.choice import choose, futures_of
 from edtorch.search.execution import Execution
 from edtorch.search.ipopt import reach
@@ -115,14 +115,7 @@ class PlannedSearch(RandomFirst):
         """See ``TrialSearch``."""
         learned = problem.learn(knowledge.transitions(problem.dt), knowledge.trial)
         structure = problem.structures[learned.name]
-        model = TickModel(
-            structure,
-            learned.posterior.weight.numpy(),
-            problem.dt,
-            problem.middle.numpy(),
-            problem.half.numpy(),
-            self.substeps,
-        )
+        model = problem.tick_model(learned, self.substeps)
         horizon, opening = self._ticks(problem)
         weight = ramp(problem.ticks, self.power, opening)
         whole = Cost(problem.rows, weight, problem.action, self.squash)
@@ -132,7 +125,7 @@ class PlannedSearch(RandomFirst):
         plans, dropped = self._plans(problem, model, cost, starts, knowledge, generator)
         if not plans:
             raise NoPlan(f"none of {dropped} starts led to a finite plan")
-        noise = learned.reading_noise if problem.noise is None else problem.noise
+        noise = problem.noise_of(learned)
         candidates = self._candidates(problem, model, cost, plans, starts, noise)
         futures = futures_of(
             learned.posterior,

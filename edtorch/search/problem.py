@@ -14,6 +14,7 @@ from edtorch.model.mechanism import Structure
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.search.knowledge import Knowledge
+from edtorch.search.tick_model import TickModel
 from edtorch.types import Parameters, Transition
 
 
@@ -50,6 +51,21 @@ class SearchProblem:
     def ticks(self) -> int:
         """H, the horizon."""
         return len(self.rows) - 1
+
+    def tick_model(self, learned: LearnedModel, substeps: int) -> TickModel:
+        """The learned model over a tick, in ``substeps`` steps of Runge and Kutta's method."""
+        return TickModel(
+            self.structures[learned.name],
+            learned.posterior.weight.numpy(),
+            self.dt,
+            self.middle.numpy(),
+            self.half.numpy(),
+            substeps,
+        )
+
+    def noise_of(self, learned: LearnedModel) -> Tensor:
+        """Standard deviations ``[n]`` of readings: those that are told, else estimated ones."""
+        return learned.reading_noise if self.noise is None else self.noise
 
     def check_prices(self, group: str) -> None:
         """Refuse actions that cost nothing, for regulators.  ValueError begins with ``group``."""
@@ -102,7 +118,7 @@ class TrialSearch(Protocol):
 
     @property
     def prior(self) -> str:
-        """What the search is told of the task beside the components of the state, in words."""
+        """Prior knowledge of the task other than that of the state's components, in words."""
         ...
 
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.circle import wrapped
 from edtorch.linalg import matvec
 from edtorch.model.lift import Lift
 from edtorch.model.mechanism import Structure
-from edtorch.policy.squash import wrapped
 
 
 def mean_start(starts: Tensor, period: Tensor) -> Tensor:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
+from edtorch.circle import wrapped
 from edtorch.policy.clock import EpisodeClock
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
-from edtorch.policy.squash import Squash, wrapped
+from edtorch.policy.squash import Squash
 from edtorch.policy.timed import TimedPolicy
 from edtorch.search.execution import Carried
 from edtorch.search.imagination import Futures, imagine

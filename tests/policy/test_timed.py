@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from edtorch.circle import wrapped
 from edtorch.policy.knots import KnotPolicy
-from edtorch.policy.squash import Squash, wrapped
+from edtorch.policy.squash import Squash
 from edtorch.policy.timed import TimedPolicy
 from tests.systems import normal
 
