@@ -1,4 +1,4 @@
-"""What can be wrong with an input, and what can go wrong with numbers, by name."""
+"""What can be wrong with an input, with numbers or with optional packages, by name."""
 
 from __future__ import annotations
 
@@ -29,6 +29,10 @@ class FitError(ValueError):
 
 class NoPlan(ValueError):
     """No start led to a plan whose numbers are finite."""
+
+
+class Unavailable(RuntimeError):
+    """A package, or what it is to compile, cannot be used here; one line that says why."""
 
 
 class CovarianceFloored(UserWarning):

@@ -20,9 +20,10 @@ from edtorch.app.observation import build_deviations
 from edtorch.app.policy import policy_card
 from edtorch.app.reward import build_reward
 from edtorch.app.settings import Settings
+from edtorch.compiled import numba
+from edtorch.errors import Unavailable
 from edtorch.model.told import Told
 from edtorch.native.choice import Mode
-from edtorch.native.program import Unavailable, numba
 from edtorch.rewards.squares import squares_of
 from edtorch.run.episodes import Budget
 from edtorch.run.policy_file import PolicyCard

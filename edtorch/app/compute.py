@@ -13,12 +13,13 @@ import torch
 
 from edtorch.app.errors import ConfigError
 from edtorch.app.settings import Settings
+from edtorch.compiled import numba
+from edtorch.errors import Unavailable
 from edtorch.learner.learner import AnyLearner
 from edtorch.native.apart import Halves
 from edtorch.native.choice import Mode
 from edtorch.native.layout import RowLayout
 from edtorch.native.plan import NoKernel, learner_plan, plan_of
-from edtorch.native.program import Unavailable, numba
 from edtorch.native.stage import Native
 from edtorch.run.episodes import Budget
 from edtorch.run.random import BLOCK, learning_streams

@@ -15,10 +15,10 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from edtorch.compiled import load_kernel
 from edtorch.learner.learner import AnyLearner
 from edtorch.native.layout import RowLayout
 from edtorch.native.plan import KernelPlan, add_units, learner_plan
-from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
 from edtorch.native.stage import lanes_for
 from edtorch.run.random import BLOCK, Streams, draw_block, learning_keys

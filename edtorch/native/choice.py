@@ -6,8 +6,8 @@ import logging
 from collections.abc import Callable
 from typing import Literal, TypeVar
 
+from edtorch.errors import Unavailable
 from edtorch.native.plan import NoKernel
-from edtorch.native.program import Unavailable
 
 logger = logging.getLogger("edtorch")
 

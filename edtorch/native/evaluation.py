@@ -16,10 +16,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from edtorch.compiled import load_kernel
+from edtorch.errors import Unavailable
 from edtorch.learner.learner import Actor
 from edtorch.native.choice import Mode
 from edtorch.native.plan import KernelPlan, NoKernel, add_policy, add_world, begun, place
-from edtorch.native.program import Unavailable, load_kernel
 from edtorch.native.source import source_of
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.run import evaluation

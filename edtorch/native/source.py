@@ -1,15 +1,29 @@
-"""From a plan to the text of its module."""
+"""From a plan to its module: the text of the kernels with what the plan and the simulator add."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import sims.rows
+from edtorch.compiled import ModuleSource
+from edtorch.native.fingerprint import fingerprint
 from edtorch.native.plan import KernelPlan
-from edtorch.native.program import ModuleSource, fingerprint, module_text
+from sims.base import Outcome
+
+FOLDER = Path(__file__).parent / "kernels"
+_TEXTS = (
+    *("learn.py", "improve.py", "live.py", "ticks.py", "rides.py", "apart.py"),
+    *("hashing.py", "episodes.py", "sarsa.py"),
+)
+_ROWS_BY = tuple(
+    Path(sims.rows.__file__).with_name(name) for name in ("compiled_rows.py", "elementary.py")
+)
+"""What a simulator's rows are compiled with."""
 
 
 def source_of(
@@ -22,10 +36,12 @@ def source_of(
     """
     places, number = plan.number()
     c, rows = plan.constants, plan.rows
-    text = module_text({**c, **places, "LANES": lanes}, plan.chosen)
+    text = _module_text({**c, **places, "LANES": lanes}, plan.chosen)
     if rows is None:
         return ModuleSource(text, "", {}), number, ()
-    key = fingerprint((rows.step, rows.observe, rows.outcome, rows.start, rows.stepped))
+    by = hashlib.sha256(b"".join(file.read_bytes() for file in _ROWS_BY)).hexdigest()
+    own_code = fingerprint((rows.step, rows.observe, rows.outcome, rows.start, rows.stepped))
+    key = f"{by}\n{own_code}"
     text += _tuples(c)
     from sims.compiled_rows import compiled
 
@@ -37,6 +53,17 @@ def source_of(
     else:
         parts["applies"] = own.stepped
     return ModuleSource(text, key, parts), number, own.constants
+
+
+def _module_text(constants: Mapping[str, object], chosen: Mapping[str, str]) -> str:
+    """The text of a module: the kernels after ``constants``, and the names ``chosen`` of functions
+    among them."""
+    lines = ["import math", "import numpy as np"]
+    lines += [f"{outcome.name} = {int(outcome)}" for outcome in Outcome]
+    lines += [f"{name} = {value!r}" for name, value in sorted(constants.items())]
+    lines += [(FOLDER / name).read_text(encoding="utf-8") for name in _TEXTS]
+    lines += [f"{role} = {function}" for role, function in sorted(chosen.items())]
+    return "\n".join(lines) + "\n"
 
 
 def _tuples(c: dict[str, int]) -> str:

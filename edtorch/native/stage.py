@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from edtorch.compiled import load_kernel
 from edtorch.native.layout import RowLayout
 from edtorch.native.plan import KernelPlan
-from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
 from edtorch.run.random import BLOCK, draw_block, learning_keys
 from edtorch.run.tick import Population, Tick

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.compiled import load_kernel
 from edtorch.native.plan import KernelPlan, NoKernel, add_policy
-from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
 from edtorch.native.worlds import plan_of_world
 from edtorch.policy.policies import LinearPolicy

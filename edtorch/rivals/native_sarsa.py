@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.compiled import load_kernel
 from edtorch.native.plan import KernelPlan
-from edtorch.native.program import load_kernel
 from edtorch.native.source import source_of
 from edtorch.native.worlds import plan_of_world
 from edtorch.rewards import QuadraticReward

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from edtorch.native.program import Unavailable
+from edtorch.errors import Unavailable
 from edtorch.search.plan import Plan
 from edtorch.search.tick_model import TickModel
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from edtorch.native.program import ModuleSource, load_kernel
+from edtorch.compiled import ModuleSource, load_kernel
 
 _FOLDER = Path(__file__).parent / "kernels"
 _TEXTS = (

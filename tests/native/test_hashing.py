@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from edtorch.native.program import FOLDER
+from edtorch.native.source import FOLDER
 from edtorch.run.hashing import Use, hash_key, uniform
 
 

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from edtorch.native.program import Unavailable
+from edtorch.errors import Unavailable
 from edtorch.search.ipopt import reach, tick_function
 from edtorch.search.plan import Plan
 from edtorch.search.shooting import connect

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edtorch.native.program import Unavailable
+from edtorch.errors import Unavailable
 from edtorch.search.plan import Cost, Plan
 from edtorch.search.program import kernels, planner_source
 from edtorch.search.shooting import Descent, Found, connect, expand, planning_problem, shoot

@@ -1,9 +1,9 @@
 """The text of the kernels.
 
-Each file is Python that numba compiles.  It is not imported: ``edtorch.native.program`` joins the
+Each file is Python that numba compiles.  It is not imported: ``edtorch.native.source`` joins the
 files to one module for each plan, together with the plan's sizes and places of rows (names in
-capitals), the functions chosen for ``fit``, ``value``, ``step`` and ``command``, those of the
-simulator, and the decorators ``inner`` and ``outer``.
+capitals), the functions chosen for ``fit``, ``value``, ``step`` and ``command``, and those of the
+simulator; ``edtorch.compiled`` adds the decorators ``inner`` and ``outer``.
 
 ``LANES`` learners are computed side by side.  Row r of learner l is ``z[r * LANES + l]``, and every
 loop over learners is the outermost of its block, with the loops over rows inside: the compiler

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from enum import IntEnum
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from edtorch.native.program import (
-    ModuleSource,
-    Unavailable,
-    cache_folder,
-    fingerprint,
-    load_kernel,
-)
-from edtorch.native.program import numba as checked_numba
+from edtorch.compiled import ModuleSource, cache_folder, load_kernel
+from edtorch.compiled import numba as checked_numba
+from edtorch.errors import Unavailable
 
 DOUBLE = (
     "@inner\ndef twice(x):\n    return 2.0 * x\n\n@outer\ndef entry(x):\n    return twice(x[0])\n"
@@ -90,7 +83,7 @@ def test_processes_wait_for_one_another(own_cache: Path) -> None:
     script = (
         "import logging, numpy\n"
         "logging.basicConfig(level='INFO')\n"
-        "from edtorch.native.program import ModuleSource, load_kernel\n"
+        "from edtorch.compiled import ModuleSource, load_kernel\n"
         f"source = ModuleSource({DOUBLE!r}, '', {{}})\n"
         "[kernel] = load_kernel(source, {'entry': (numpy.array([1.5]),)}, 'an example')\n"
         "print(kernel(numpy.array([1.5])))\n"
@@ -133,53 +126,7 @@ def test_numba_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
         checked_numba()
 
 
-def scaled(factor: float, inner: Callable[[float], float]) -> Callable[[float], float]:
-    def function(x: float) -> float:
-        return factor * inner(x)
-
-    return function
-
-
-def same(x: float) -> float:
-    return x
-
-
-def other(x: float) -> float:
-    return -x
-
-
-def test_a_fingerprint_follows_what_a_function_closes_over() -> None:
-    texts = [fingerprint(scaled(f, g)) for f in (1.0, 2.0) for g in (same, other)]
-    assert len(set(texts)) == 4
-    assert fingerprint(scaled(1.0, same)) == texts[0]
-    assert "0x" not in "".join(texts)
-
-
-def keyed(value: float) -> Callable[[float], float]:
-    def function(x: float, *, factor: float = value) -> float:
-        return factor * x
-
-    return function
-
-
-def test_a_fingerprint_follows_defaults_and_members() -> None:
-    assert fingerprint(keyed(1.0)) != fingerprint(keyed(2.0))
-    kinds = [IntEnum("Kind", {"ONE": value}) for value in (1, 2)]
-    texts = [fingerprint(scaled(1.0, lambda x, kind=kind: x + kind.ONE)) for kind in kinds]
-    assert texts[0] != texts[1]
-
-
-def test_a_fingerprint_refuses_modules_whose_content_may_change() -> None:
-    with pytest.raises(Unavailable, match=r"module json: expected its functions and numbers"):
-        fingerprint(lambda x: json.decoder)
-
-
-def test_a_fingerprint_refuses_what_it_cannot_describe() -> None:
-    with pytest.raises(Unavailable, match="object: expected functions, numbers"):
-        fingerprint(scaled(object(), same))  # pyright: ignore[reportArgumentType]
-
-
-def test_programs_lie_where_the_user_says(own_cache: Path) -> None:
+def test_modules_lie_where_the_user_says(own_cache: Path) -> None:
     assert cache_folder() == own_cache
     loaded(ModuleSource(DOUBLE, "", {}))
     assert {path.parts[len(own_cache.parts)] for path in own_cache.rglob("*")} == {"native"}

@@ -1,9 +1,8 @@
-"""Kernels as modules: joined from their text, compiled by numba, kept on disk.
+"""Kernels as modules: Python text, compiled by numba, kept on disk.
 
-A kernel of a plan is one generated module whose name is a hash of everything that it is made of:
-the text of the kernels, the plan's constants, the code of the simulator's rows and of what they
-close over, numba, and the processor.  So a stale or foreign program is never found, and no two
-programs share the name of a compiled symbol.
+A module's name is a hash of everything that it is made of: its text, what its maker says that it
+depends on beside it, numba, and the processor.  So a stale or foreign module is never found, and no
+two modules share the name of a compiled symbol.
 """
 
 from __future__ import annotations
@@ -20,39 +19,21 @@ import types
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import filelock
 
-import sims.rows
-from sims.base import Outcome
-from sims.rows import TORCH
+from edtorch.errors import Unavailable
 
 logger = logging.getLogger("edtorch")
 
-FOLDER = Path(__file__).parent / "kernels"
-SCALAR = tuple(
-    Path(sims.rows.__file__).with_name(name) for name in ("compiled_rows.py", "elementary.py")
-)
-"""What a simulator's rows are compiled with."""
-TEXTS = (
-    *("learn.py", "improve.py", "live.py", "ticks.py", "rides.py", "apart.py"),
-    *("hashing.py", "episodes.py", "sarsa.py"),
-)
-_KNOWN = ("torch", "numba", "numpy", "math")
-"""Packages whose functions are what their names say."""
 LEAST_NUMBA = (0, 65)
 """The first version of numba that is tested."""
 
 
-class Unavailable(RuntimeError):
-    """There is no compiled kernel here; the message is one line that says why."""
-
-
 def cache_folder() -> Path:
-    """Where programs are kept: ``EDTORCH_CACHE``, else ``edtorch`` in the user's cache folder."""
+    """Where modules are kept: ``EDTORCH_CACHE``, else ``edtorch`` in the user's cache folder."""
     named = os.environ.get("EDTORCH_CACHE")
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(named) if named else Path(home) / "edtorch"
@@ -81,76 +62,13 @@ def numba() -> Any:
     return found
 
 
-def module_text(constants: Mapping[str, object], chosen: Mapping[str, str]) -> str:
-    """The text of a module: the kernels after ``constants``, and the names ``chosen`` of functions
-    among them."""
-    lines = ["import math", "import numpy as np"]
-    lines += [f"{outcome.name} = {int(outcome)}" for outcome in Outcome]
-    lines += [f"{name} = {value!r}" for name, value in sorted(constants.items())]
-    lines += [(FOLDER / name).read_text(encoding="utf-8") for name in TEXTS]
-    lines += [f"{role} = {function}" for role, function in sorted(chosen.items())]
-    return "\n".join(lines) + "\n"
-
-
-def fingerprint(part: object) -> str:
-    """A text that is equal for two functions only if they compute the same: code, constants, and
-    whatever they close over.  Raises Unavailable for what cannot be described."""
-    return "\n".join(_described(part, set()))
-
-
-def _described(part: Any, seen: set[int]) -> Iterator[str]:
-    yield type(part).__qualname__
-    if isinstance(part, types.ModuleType) and part.__name__.partition(".")[0] not in _KNOWN:
-        raise Unavailable(
-            f"module {part.__name__}: expected its functions and numbers themselves in what a"
-            " simulator's rows close over (from ... import ...)"
-        )
-    if isinstance(part, type) and issubclass(part, Enum):
-        yield from _described([(member.name, member.value) for member in part], seen)
-    if part is TORCH or isinstance(part, types.BuiltinFunctionType | types.ModuleType | type):
-        yield getattr(part, "__module__", "") or getattr(part, "__name__", "")
-        yield getattr(part, "__qualname__", "")
-    elif isinstance(part, types.FunctionType):
-        yield f"{part.__module__}.{part.__qualname__}"
-        if id(part) not in seen and part.__module__.partition(".")[0] not in _KNOWN:
-            seen.add(id(part))
-            cells = [cell.cell_contents for cell in part.__closure__ or ()]
-            names = [name for name in _names(part.__code__) if name in part.__globals__]
-            called = [(name, part.__globals__[name]) for name in names]
-            defaults = (part.__defaults__, sorted((part.__kwdefaults__ or {}).items()))
-            yield from _described([part.__code__, defaults, cells, called], seen)
-    elif isinstance(part, types.CodeType):
-        yield f"{part.co_code.hex()} {part.co_names}"
-        yield from _described(part.co_consts, seen)
-    elif isinstance(part, tuple | list):
-        for each in part:
-            yield from _described(each, seen)
-    elif part is None or isinstance(part, bool | int | float | complex | str | bytes):
-        yield repr(part)
-    elif hasattr(part, "__dataclass_fields__"):
-        yield from _described([getattr(part, name) for name in part.__dataclass_fields__], seen)
-    else:
-        raise Unavailable(
-            f"{type(part).__name__}: expected functions, numbers, texts and tuples in what a"
-            " simulator's rows close over"
-        )
-
-
-def _names(code: types.CodeType) -> Iterator[str]:
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _names(constant)
-
-
 def _machine() -> str:
-    """What a program is compiled by and for."""
+    """What a module is compiled by and for."""
     from llvmlite import binding
 
     cpu = f"{binding.get_host_cpu_name()} {binding.get_host_cpu_features().flatten()}"
     versions = (numba().__version__, importlib.metadata.version("llvmlite"))
-    namespace = hashlib.sha256(b"".join(file.read_bytes() for file in SCALAR)).hexdigest()
-    return f"{namespace} {versions} {platform.python_version()} {platform.machine()} {cpu}"
+    return f"{versions} {platform.python_version()} {platform.machine()} {cpu}"
 
 
 @dataclass(frozen=True)
