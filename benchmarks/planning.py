@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.timing import interleaved, print_table, write_json
 from edtorch.search.imagination import Futures, imagine
-from edtorch.search.quiet import quiet_gains
+from edtorch.search.noise_aware import noise_aware_gains
 from edtorch.search.shooting import connect, shoot
 from edtorch.search.starts import lines, sinusoids
 from tests.planning import HANGING, swing_up, swing_up_cost, tip_error
@@ -43,7 +43,7 @@ def main() -> None:
         {
             "single": lambda: shoot(model, cost, waves),
             "multiple": lambda: connect(model, cost, straight),
-            "gains": lambda: quiet_gains(model, cost, plan, 100 * small, small),
+            "gains": lambda: noise_aware_gains(model, cost, plan, 100 * small, small),
             "imagined": lambda: imagine(
                 model, cost, plan, Futures(weight, HANGING + spread, noise)
             ),

@@ -19,9 +19,9 @@ from edtorch.search.choice import choose, futures_of
 from edtorch.search.execution import Execution
 from edtorch.search.ipopt import reach
 from edtorch.search.knowledge import Knowledge
+from edtorch.search.noise_aware import noise_aware_gains
 from edtorch.search.plan import Cost, Plan, ramp
 from edtorch.search.problem import Improvement, Left, SearchProblem, ticks_of
-from edtorch.search.quiet import quiet_gains
 from edtorch.search.random_first import RandomFirst
 from edtorch.search.segments import plan_through
 from edtorch.search.starts import REST, lines, sinusoids, still
@@ -202,7 +202,7 @@ class PlannedSearch(RandomFirst):
             return list(plans)
         away = wrapped(starts - mean_start(starts, problem.period), problem.period)
         start, reading = (away.mT @ away / len(away)).numpy(), noise.square().diag().numpy()
-        aware = [quiet_gains(model, cost, plan, start, reading) for plan in plans]
+        aware = [noise_aware_gains(model, cost, plan, start, reading) for plan in plans]
         return aware if self.gains == "covariance" else [*plans, *aware]
 
     def _is_noise_aware(self, place: int, plans: int) -> bool:

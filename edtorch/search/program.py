@@ -14,7 +14,7 @@ from edtorch.compiled import ModuleSource, load_kernel
 
 _FOLDER = Path(__file__).parent / "kernels"
 _TEXTS = (
-    *("mechanism.py", "cost.py", "shooting.py", "quiet.py", "imagined.py"),
+    *("mechanism.py", "cost.py", "shooting.py", "noise_aware.py", "imagined.py"),
     "lifted_policy.py",
 )
 
@@ -46,7 +46,7 @@ def _entries() -> dict[str, tuple[object, ...]]:
         "backward": (expansion, two, 0.1, two, three),
         "rolled": (*problem, 0.1, plan, (two, two)),
         "descend": (*problem, settings, two, two, three, two, 0.1),
-        "quieten": (expansion, (0.1, 1, 0.1), three, three, two, two),
+        "noise_aware": (expansion, (0.1, 1, 0.1), three, three, two, two),
         "imagine": (model, three, cost, bounds, plan, two, three, three, one),
         "imagine_knots": (model, three, cost, bounds, knots, two, three, three, one),
         "imagine_lifted": (model, three, cost, bounds, (*products, two), two, three, three, one),

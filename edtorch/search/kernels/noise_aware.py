@@ -1,4 +1,4 @@
-"""Gains that weigh what the sensors add: the covariance of the state, propagated."""
+"""Noise-aware gains: they weigh the covariance of the state, propagated, and that of readings."""
 
 
 @outer
@@ -27,7 +27,7 @@ def conjugated(left, inner_matrix, out, moved):
 
 
 @outer
-def quieten(expansion, settings, gain, covariance, noise, process):
+def noise_aware(expansion, settings, gain, covariance, noise, process):
     """Replace the gains; expansion: of ``expand``; settings: tuple (damping, sweeps, floor);
     covariance [H + 1, n, n]: of the state, its first given, is written.
 

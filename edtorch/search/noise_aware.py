@@ -1,4 +1,4 @@
-"""Gains of a plan that weigh what the sensors add to the state."""
+"""Gains of a plan that weigh the noise of the readings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FLOOR = 1e-12
 """Added to covariances of the state, so that gains have a limit where nothing is uncertain."""
 
 
-def quiet_gains(
+def noise_aware_gains(
     model: TickModel,
     cost: Cost,
     plan: Plan,
@@ -46,7 +46,7 @@ def quiet_gains(
     expansion, _ = expand(planning_problem(model, cost), plan)
     gain = real(plan.gain).copy()
     covariance = np.tile(real(start), (len(plan.state), 1, 1))
-    kernels()["quieten"](
+    kernels()["noise_aware"](
         *(expansion, (float(damping), sweeps, _FLOOR), gain, covariance),
         *(real(noise), real(added)),
     )
