@@ -13,9 +13,10 @@ from torch import Tensor
 
 from edtorch.circle import wrapped
 from edtorch.errors import NoPlan
+from edtorch.model.mechanism import Structure
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
-from edtorch.search.choice import choose, futures_of
+from edtorch.search.choice import PlanChoice, choose, futures_of
 from edtorch.search.execution import Execution
 from edtorch.search.ipopt import reach
 from edtorch.search.knowledge import Knowledge
@@ -26,7 +27,7 @@ from edtorch.search.random_first import RandomFirst
 from edtorch.search.segments import plan_through
 from edtorch.search.starts import REST, lines, sinusoids, still
 from edtorch.search.stationary import Stationary
-from edtorch.search.target import mean_start
+from edtorch.search.target import distances, mean_start
 from edtorch.search.tick_model import TickModel
 from edtorch.search.timed import Timed
 from edtorch.seeding import Purpose, numpy_generator
@@ -40,7 +41,7 @@ class PlannedSearch(RandomFirst):
     """Plans from the mean start, by single shooting from ``starts`` swinging actions and the last
     plans, and by multiple shooting from ``straight`` lines to the target and from ``programmed``
     paths to it (``edtorch.search.ipopt``, no more than there are choices of the directions in which
-    the angles turn).
+    the angles turn; from a line itself where there is no path).
 
     policy: what carries a plan out, ``timed`` (``edtorch.search.timed``) or ``stationary``, which
     goes on after it (``edtorch.search.stationary``).  horizon: seconds of a plan, None: of
@@ -153,7 +154,7 @@ class PlannedSearch(RandomFirst):
                 "largest_gain": float(np.abs(plan.gain).max()),
                 "noise_aware": float(self._is_noise_aware(chosen.place, len(plans))),
             },
-            learned.notes,
+            learned.notes + self._said(problem, structure, plan, chosen),
         )
 
     def _plans(
@@ -174,14 +175,12 @@ class PlannedSearch(RandomFirst):
         straight: list[Plan] = []
         while len(straight) < self.straight:
             straight += lines(model.structure, start, goal[first], first, m, dt, generator)
-        paths: list[Plan | None] = []
+        linked = straight[: self.straight]
         if self.programmed:
             direct = lines(model.structure, start, goal[first], first, m, dt, generator, wave=0.0)
             arrival = max(1, first - round(REST / dt))
-            paths = [reach(model, line, arrival) for line in direct[: self.programmed]]
-        linked = [*straight[: self.straight], *(path for path in paths if path is not None)]
-        plans, dropped = plan_through(model, cost, first, swings, linked, goal, self.keep)
-        return plans, dropped + paths.count(None)
+            linked += [reach(model, line, arrival) or line for line in direct[: self.programmed]]
+        return plan_through(model, cost, first, swings, linked, goal, self.keep)
 
     def _ticks(self, problem: SearchProblem) -> tuple[int, int]:
         """Of the horizon, and of the first segment.  Raises ValueError."""
@@ -204,6 +203,21 @@ class PlannedSearch(RandomFirst):
         start, reading = (away.mT @ away / len(away)).numpy(), noise.square().diag().numpy()
         aware = [noise_aware_gains(model, cost, plan, start, reading) for plan in plans]
         return aware if self.gains == "covariance" else [*plans, *aware]
+
+    def _said(
+        self, problem: SearchProblem, structure: Structure, plan: Plan, chosen: PlanChoice
+    ) -> tuple[str, ...]:
+        """How near the best plan comes, where none succeeded."""
+        if chosen.success != 0:
+            return ()
+        last = len(plan.raw)
+        end, goal = torch.from_numpy(plan.state[-1]), problem.goal[last]
+        away = distances(structure, problem.rows[last], end, goal)
+        words = (f"{problem.names[i]} {d * float(problem.scale[i]):.2g}" for i, d in away)
+        return (
+            f"no plan succeeded in any of {self.draws} imagined trials; after"
+            f" {last * problem.dt:g} s the best is away from its target by {', '.join(words)}",
+        )
 
     def _is_noise_aware(self, place: int, plans: int) -> bool:
         return self.gains == "covariance" or place >= plans

@@ -42,6 +42,16 @@ def wanted_states(structure: Structure, rows: np.ndarray, dt: float) -> Tensor:
     return wanted
 
 
+def distances(
+    structure: Structure, rows: np.ndarray, state: Tensor, goal: Tensor
+) -> list[tuple[int, float]]:
+    """(component, size of the difference of two states ``[n]``, angles the short way round), of the
+    components that count in the rows ``[r, A]`` of a tick."""
+    lift, away = structure.lift, structure.difference(state, goal).abs()
+    entries = [(first, first + angle) for first, angle in zip(lift.at, lift.angle, strict=True)]
+    return [(i, float(away[i])) for i, own in enumerate(entries) if np.any(rows[:, own])]
+
+
 def _best(lift: Lift, rows: np.ndarray) -> tuple[Tensor, Tensor]:
     """Ends of the method, ``[T, q, n]``, and which of them are as good as any, bool ``[T, q]``."""
     angles = np.flatnonzero(lift.angle)

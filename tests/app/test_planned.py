@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -258,6 +259,19 @@ def test_paths_by_ipopt_need_casadi(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ConfigError, match=r"search\.programmed=2: casadi cannot be imported"):
         build_planned(compose([*SMALL, "search.programmed=2"]))
+
+
+@pytest.mark.experiment
+def test_a_target_out_of_reach_is_said(command: Callable[..., Result]) -> None:
+    """Half a second takes the pendulum nowhere."""
+    short = ("domain.sim.time_limit=0.5", "domain.sim.hold_from=0.4", "train.episodes=1")
+    result = command("edtorch-train", *SMALL, *short, "seeds=1", "hydra.run.dir=out")
+    told = re.search(
+        r"in any of 20 imagined trials; after 0.5 s .* by angle (\S+), rate \S+$",
+        result.out + result.err,
+        re.MULTILINE,
+    )
+    assert told is not None and 1 < float(told[1]) <= 3.2
 
 
 @pytest.mark.experiment

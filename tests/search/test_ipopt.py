@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from edtorch.errors import Unavailable
-from edtorch.search.ipopt import reach, tick_function
+from edtorch.search.ipopt import coarse, reach, tick_function
 from edtorch.search.plan import Plan
 from edtorch.search.shooting import connect
 from edtorch.search.starts import lines
@@ -43,6 +44,18 @@ def test_the_expression_is_what_the_kernels_compute() -> None:
         np.testing.assert_allclose(np.array(function(state, part)).ravel(), after, rtol=1e-12)
 
 
+def test_a_coarse_model_leaves_out_what_hardly_counts() -> None:
+    model, generator = swing_up(dt=0.05), np.random.default_rng(0)
+    size = np.abs(model.weight).max(axis=1, keepdims=True)
+    hardly = 0.9e-3 * size * generator.uniform(-1, 1, model.weight.shape)
+    found = coarse(replace(model, weight=np.where(model.weight == 0, hardly, model.weight)))
+    np.testing.assert_array_equal(found.weight, model.weight)
+    for _ in range(5):
+        state, part = generator.standard_normal(4), generator.uniform(-1, 1, 1)
+        exact, _ = tick_once(model, model.weight, state, part)
+        np.testing.assert_allclose(tick_once(found, found.weight, state, part)[0], exact, atol=1e-3)
+
+
 @pytest.mark.experiment
 def test_the_pole_reaches_upright_and_the_plan_is_polished() -> None:
     pytest.importorskip("casadi")
@@ -52,9 +65,10 @@ def test_the_pole_reaches_upright_and_the_plan_is_polished() -> None:
     np.testing.assert_allclose(start.state[0], HANGING, atol=1e-9)
     np.testing.assert_allclose(start.state[30:, [0, 1, 3]], 0.0, atol=1e-9)
     assert np.abs(np.tanh(start.raw)).max() < 0.851
+    rough = coarse(model)
     for t in range(40):
         action = np.tanh(start.raw[t])
-        after, _ = tick_once(model, model.weight, start.state[t], action)
+        after, _ = tick_once(rough, rough.weight, start.state[t], action)
         np.testing.assert_allclose(after, start.state[t + 1], atol=1e-6)
     (plan,) = connect(model, swing_up_cost(model), [start]).plans
     assert plan.cost < 0.3 and (tip_error(plan.state[30:]) < 0.25).all()

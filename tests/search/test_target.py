@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 
+import pytest
 import torch
 
 from edtorch.model.families import ImplicitModel
 from edtorch.model.mechanism import Structure
 from edtorch.model.told import Told
 from edtorch.rewards import LiftedReward
-from edtorch.search.target import mean_start, wanted_states
+from edtorch.search.target import distances, mean_start, wanted_states
 from sims.base import Spec
 from sims.tasks.cart_pole_swing_up import CartPoleSwingUp
 from sims.tasks.pendubot import Pendubot
@@ -34,6 +35,15 @@ def test_the_state_that_the_tip_wants_is_upright() -> None:
     R, _ = LiftedReward(spec, rows, rates=0.4).lifted_squares(3)
     found = wanted_states(_structure(spec), R.numpy(), 0.1)
     assert found.shape == (4, 4) and found.abs().max() < 1e-4
+
+
+def test_distances_are_of_what_counts_the_short_way_round() -> None:
+    spec = CartPoleSwingUp().spec
+    structure = _structure(spec)
+    R, _ = LiftedReward(spec, [{"sin angle": 1.0}], rates=0.0).lifted_squares(1)
+    period = float(structure.period[2])
+    state, goal = torch.tensor([[1.0, 2.0, 0.9, 3.0], [0.0, 0.0, 0.1, 0.0]]).double() * period
+    assert distances(structure, R[0].numpy(), state, goal) == [(2, pytest.approx(0.2 * period))]
 
 
 def test_what_moves_is_wanted_with_its_rate() -> None:
