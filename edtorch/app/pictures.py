@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,14 +11,18 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from edtorch.learner.learner import Actor
+from edtorch.policy.memory import EpisodeMemory
 from edtorch.report.animation import save_animation
 from edtorch.report.domain import Domain
+from edtorch.report.experience import SeedExperience, experience_curve
 from edtorch.report.figures import Trace, height, learning_curve, save_figure, shortest_time
 from edtorch.report.task_curve import task_curve
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import evaluate
 from edtorch.run.scaled_sim import World
 from edtorch.run.training import Training
+from edtorch.types import Parameters
 from sims.base import Pictured
 
 
@@ -94,6 +99,41 @@ def draw_tasks(
         path = folder / _animation(domain)
         save_animation(calm.sim, trail, path, slow=len(trail), fps=10)
     return figure
+
+
+def draw_search(
+    experience: Sequence[SeedExperience], wanted: float | None, name: str, folder: Path
+) -> Figure:
+    """For a search between trials: write ``learning_curve.png``, ``.svg``, success against
+    experience; wanted: the rate that counts as solved; name: of the domain."""
+    size = len(experience)
+    title = f"{name}: {size} seed{'s' if size > 1 else ''}"
+    figure = experience_curve(experience, wanted, title)
+    save_figure(figure, folder, "learning_curve")
+    return figure
+
+
+def draw_policy(
+    actor: Actor,
+    parameters: Parameters,
+    calm: World,
+    seeds: Sequence[int],
+    domain: Domain,
+    folder: Path,
+    observer: EpisodeMemory | None = None,
+) -> None:
+    """If the sim can draw itself, write an animation of one policy ``[1, ...]`` in a fresh episode
+    in ``calm``."""
+    if not isinstance(calm.sim, Pictured):
+        return
+    states: list[Tensor] = []
+    evaluate(
+        *(actor, parameters, calm, seeds, 1),
+        watch=lambda now: states.append(now[0]),
+        observer=observer,
+    )
+    trail, path = torch.stack(states), folder / _animation(domain)
+    save_animation(calm.sim, trail, path, fps=round(1 / calm.dt))
 
 
 def _animation(domain: Domain) -> str:
