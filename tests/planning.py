@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+import torch
 
 from edtorch.model.lift import Lift
 from edtorch.model.mechanism import Structure
 from edtorch.model.terms import Terms
 from edtorch.search.plan import Cost, ramp
+from edtorch.search.problem import SearchProblem
 from edtorch.search.program import kernels
 from edtorch.search.tick_model import TickModel
 from tests import cart_poles
@@ -52,6 +55,33 @@ def oscillator_cost(model: TickModel, ticks: int = 30) -> Cost:
     rows = np.zeros((ticks + 1, 2, 3 + len(model.half)))
     rows[:, 0, 1], rows[:, 1, 2] = 1.0, math.sqrt(0.1)
     return Cost(rows, np.ones(ticks + 1), 0.2 * model.half**2, 0.0)
+
+
+def search_problem(model: TickModel, cost: Cost) -> SearchProblem:
+    """The problem whose model this is and whose reward is this cost; only ``learn`` and ``starts``
+    are missing."""
+    n = len(model.structure.source)
+
+    def unasked(*_: object) -> torch.Tensor:
+        raise AssertionError
+
+    learn: Callable[..., object] = unasked
+    return SearchProblem(
+        names=[f"s{i}" for i in range(n)],
+        scale=torch.ones(n, dtype=torch.float64),
+        structures={"only": model.structure},
+        learn=learn,  # pyright: ignore[reportArgumentType]
+        rows=cost.rows,
+        action=cost.action,
+        middle=torch.from_numpy(model.middle),
+        half=torch.from_numpy(model.half),
+        period=model.structure.period,
+        dt=model.dt,
+        starts=unasked,
+        judge=None,
+        noise=None,
+        goal=torch.zeros(cost.ticks + 1, n, dtype=torch.float64),
+    )
 
 
 def tip_error(state: np.ndarray) -> np.ndarray:

@@ -34,6 +34,12 @@ CONF = ROOT / "conf"
 """Found beside the package and not by name: a user's own folder ``conf`` may come first there."""
 
 
+TRIAL_MODELS = ("auto", "implicit", "products", "monomials")
+"""Options of ``model`` that are fitted between trials."""
+IN_TRIALS = {"regulation": "regulation_in_trials"}
+"""What an experiment of a learner is with such a model."""
+
+
 def _unless_recorded(value: Any, *, _root_: Any) -> Any:
     """In the files: a default of learners that live, null where they learn from recorded data."""
     recorded = OmegaConf.select(_root_, "offline.variant") == "recorded"
@@ -75,10 +81,16 @@ def prepared(overrides: Sequence[str]) -> list[str]:
 
     Settings within a group are added with ``++`` whether or not a file of the group lists them:
     the constructor that they are for knows its arguments (``edtorch.app.schema``).  Former names
-    become the present ones.  Raises ConfigError where both names of a setting are given.
+    become the present ones.  An experiment of a learner, with a model that is learned from whole
+    trials, is its counterpart in ``IN_TRIALS``.  Raises ConfigError where both names of a setting
+    are given.
     """
     keys = {override.lstrip("+~").partition("=")[0] for override in overrides}
-    return [_prepared(override, keys) for override in overrides]
+    found = [_prepared(override, keys) for override in overrides]
+    if any(override.startswith("model=") and override[6:] in TRIAL_MODELS for override in found):
+        named = {f"experiment={name}": f"experiment={other}" for name, other in IN_TRIALS.items()}
+        return [named.get(override, override) for override in found]
+    return found
 
 
 def _prepared(override: str, keys: set[str]) -> str:

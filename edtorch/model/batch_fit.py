@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
 from torch import Tensor
 
-from edtorch.model.evidence import Evidence, Posterior, ard, ridge
+from edtorch.model.evidence import Posterior, Updates, ard, ridge
 from edtorch.model.held_out import ModelChoice, choose_model
 from edtorch.model.mechanism import Structure, runge_kutta
 from edtorch.model.path_fit import LEAST_ROWS, fit_paths, usable
 from edtorch.types import Transition
 
-PRIORS: Mapping[str, Evidence] = {"ard": ard, "ridge": ridge}
+PRIORS: Mapping[str, Callable[..., Posterior]] = {"ard": ard, "ridge": ridge}
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,21 @@ class LearnedModel:
 @dataclass(frozen=True)
 class PathFit:
     """``edtorch.model.path_fit.fit_paths`` with ``passes`` regressions; prior: ``ard``, a precision
-    for each weight, or ``ridge``, one for all of an output."""
+    for each weight, or ``ridge``, one for all of an output; updates, noise: those of
+    ``edtorch.model.evidence.Updates``."""
 
     passes: int = 4
     prior: Literal["ard", "ridge"] = "ard"
+    updates: int = 30
+    noise: float = 0.1
 
     def __post_init__(self) -> None:
         """Refuse impossible settings."""
-        if self.passes < 1:
-            raise ValueError(f"passes={self.passes}: expected an integer >= 1")
+        for name in ("passes", "updates"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}={getattr(self, name)}: expected an integer >= 1")
+        if not 0 < self.noise <= 1:
+            raise ValueError(f"noise={self.noise}: expected a share in (0, 1]")
         if self.prior not in PRIORS:
             raise ValueError(f"prior={self.prior}: expected one of {', '.join(PRIORS)}")
 
@@ -56,7 +62,9 @@ class PathFit:
 
         Errors as of ``edtorch.model.held_out.choose_model``.
         """
-        fit = partial(fit_paths, passes=self.passes, evidence=PRIORS[self.prior])
+        updates = Updates(self.updates, self.noise)
+        evidence = partial(PRIORS[self.prior], updates=updates)
+        fit = partial(fit_paths, passes=self.passes, evidence=evidence)
         notes: list[str] = []
         if len(structures) == 1 and int(transition.valid.sum()) < 2 * LEAST_ROWS:
             ((name, structure),) = structures.items()

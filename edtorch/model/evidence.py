@@ -29,8 +29,8 @@ _PRIOR_AT_START = 0.01
 """Mean square of the predictions before any data, beside y's: alpha starts at K times its inverse.
 Where there are nearly as many columns as rows, a start with wide priors ends in weights that
 interpolate the rows, another optimum of the evidence."""
-_NOISE_AT_START, _LEAST_NOISE = 0.1, 1e-8
-"""Share of y's mean square that is noise: at the start, and at least."""
+_LEAST_NOISE = 1e-8
+"""Share of y's mean square that is noise, at least."""
 _LEAST_LEFT = 1e-6
 """Share of the rows that the weights leave undetermined, at least: rounding may say none."""
 _JITTER = 1e-12
@@ -69,7 +69,22 @@ Evidence = Callable[[Tensor, Tensor, Tensor, Tensor], Posterior]
 """(X, y, share, allowed) -> Posterior: ``ard`` or ``ridge``."""
 
 
-def ard(X: Tensor, y: Tensor, share: Tensor, allowed: Tensor, updates: int = 30) -> Posterior:
+@dataclass(frozen=True)
+class Updates:
+    """How the evidence is climbed: ``count`` updates from ``noise``, the share of y's mean square
+    that is noise.  The evidence has several maxima where there are fewer rows than columns: a start
+    with little noise ends in those that explain nearly all of y, as is right for exact readings."""
+
+    count: int = 30
+    noise: float = 0.1
+
+
+UPDATES = Updates()
+
+
+def ard(
+    X: Tensor, y: Tensor, share: Tensor, allowed: Tensor, updates: Updates = UPDATES
+) -> Posterior:
     """One alpha for each weight.
 
     X ``[N, K]``, y ``[L, N]``, share ``[L, N]`` (weights of the rows, 0 or more), allowed bool
@@ -78,7 +93,9 @@ def ard(X: Tensor, y: Tensor, share: Tensor, allowed: Tensor, updates: int = 30)
     return _maximised(X, y, share, allowed, updates, lambda gamma, square: gamma / square)
 
 
-def ridge(X: Tensor, y: Tensor, share: Tensor, allowed: Tensor, updates: int = 30) -> Posterior:
+def ridge(
+    X: Tensor, y: Tensor, share: Tensor, allowed: Tensor, updates: Updates = UPDATES
+) -> Posterior:
     """One alpha for all weights of an output; arguments as for ``ard``."""
     return _maximised(
         X,
@@ -95,7 +112,7 @@ def _maximised(
     y: Tensor,
     share: Tensor,
     allowed: Tensor,
-    updates: int,
+    updates: Updates,
     precision: Callable[[Tensor, Tensor], Tensor],
 ) -> Posterior:
     """precision: alpha from gamma and w^2, both ``[L, K]``."""
@@ -108,8 +125,8 @@ def _maximised(
     gram, moment = shared.mT @ columns, matvec(shared.mT, target)
     rows = X.shape[0]
     alpha = torch.full_like(moment, X.shape[1] / _PRIOR_AT_START).clamp(_LEAST, _MOST)
-    beta = 1 / (_NOISE_AT_START * mean)
-    for _ in range(updates):
+    beta = 1 / (updates.noise * mean)
+    for _ in range(updates.count):
         cov, w = _posterior(gram, moment, alpha, beta)
         gamma = (1 - alpha * cov.diagonal(dim1=-2, dim2=-1)).clamp(0, 1)
         error = (share * (target - matvec(columns, w)).square()).sum(-1, keepdim=True)

@@ -85,10 +85,7 @@ class GradientSearch(RandomFirst):
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """See ``TrialSearch``.  ValueError for a reward with a reference, which no stationary
         policy follows."""
-        if bool((problem.rows != problem.rows[:1]).any()):
-            raise ValueError(
-                "gradient: expected a reward without a reference, which search=planned follows"
-            )
+        problem.check_constant("gradient")
         self._ticks(problem)
         squash = Squash(problem.middle, problem.half)
         return LiftedPolicy(_lift(problem), self._terms(problem), squash), None

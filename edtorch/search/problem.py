@@ -67,6 +67,15 @@ class SearchProblem:
         """Standard deviations ``[n]`` of readings: those that are told, else estimated ones."""
         return learned.reading_noise if self.noise is None else self.noise
 
+    def check_constant(self, group: str) -> None:
+        """Refuse a reward that follows a reference, for policies without a clock.  ValueError
+        begins with ``group``."""
+        if bool((self.rows != self.rows[:1]).any()):
+            raise ValueError(
+                f"{group}: expected a reward without a reference, which search=planned with"
+                " policy=timed follows"
+            )
+
     def check_prices(self, group: str) -> None:
         """Refuse actions that cost nothing, for regulators.  ValueError begins with ``group``."""
         if not (self.action > 0).all():

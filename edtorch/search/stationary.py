@@ -38,11 +38,7 @@ class Stationary:
 
     def actor(self, problem: SearchProblem, ticks: int) -> tuple[Policy, EpisodeMemory | None]:
         """See ``Execution``."""
-        if bool((problem.rows != problem.rows[:1]).any()):
-            raise ValueError(
-                "policy=stationary: expected a reward without a reference, which policy=timed"
-                " follows"
-            )
+        problem.check_constant("policy=stationary")
         problem.check_prices("policy=stationary")
         squash, metric = Squash(problem.middle, problem.half), _metric(problem)
         policy = KnotPolicy(ticks + 1, squash, problem.period, metric, self.width)

@@ -143,6 +143,22 @@ def test_a_pole_is_held_by_the_regulator_of_its_model() -> None:
     assert run.summary["told"].endswith("held: angle 0, position 0")
 
 
+@pytest.mark.experiment
+def test_the_preset_regulation_takes_a_model_of_a_mechanism() -> None:
+    """What the target names is held: there, and not beside it, the action is small."""
+    run = edtorch.learn(
+        CartPole(time_limit=4.0),
+        target={"angle": 0.0, "position": 0.1},
+        seconds=6,
+        overrides=["model=auto", "told.angles=[angle]", "eval.episodes=10"],
+        progress=False,
+    )
+    assert run.summary["search"] == "RegulatedSearch"
+    assert run.evaluate(10)["failure_rate"] == [0.0]
+    at_target, beside = (run.policies[0].predict([x, 0.0, 0.0, 0.0])[0] for x in (0.1, 0.0))
+    assert abs(at_target) < 0.1 * abs(beside)
+
+
 @pytest.mark.parametrize(
     ("rate", "mean_return", "found", "holds"),
     [

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from edtorch.errors import FitError
-from edtorch.model.evidence import Evidence, Posterior, ard, ridge
+from edtorch.model.evidence import Evidence, Posterior, Updates, ard, ridge
 
 EVERY = torch.ones(1, 3, dtype=torch.bool)
 
@@ -56,7 +56,7 @@ def _slope(X: Tensor, y: Tensor, share: Tensor, alpha: Tensor, beta: Tensor) -> 
 def test_ard_climbs_to_the_maximum_of_the_evidence() -> None:
     """Against a grid about it and far around it, and by the gradient."""
     X, y, share = _problem()
-    found = ard(X, y, share, EVERY, updates=1000)
+    found = ard(X, y, share, EVERY, updates=Updates(1000))
     alpha, beta = _precisions(X, found, share)
     reached = _log_evidence(X, y, share, alpha, beta)
     steps = torch.tensor([-5.0, -0.1, 0.1, 1.0], dtype=torch.float64).exp()
@@ -71,7 +71,7 @@ def test_ridge_is_a_stationary_point_of_the_evidence() -> None:
     """In units in which the columns have mean square 1, where alpha is one number."""
     X, y, share = _problem()
     X = X / ((share @ X.square()) / share.sum()).sqrt()
-    found = ridge(X, y, share, EVERY, updates=300)
+    found = ridge(X, y, share, EVERY, updates=Updates(300))
     alpha, beta = _precisions(X, found, share)
     assert_close(alpha, alpha.mean().expand(3), rtol=1e-6, atol=0)
     slope = _slope(X, y, share, alpha[:1], beta)

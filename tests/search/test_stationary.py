@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,17 +12,15 @@ from edtorch.errors import NoPlan
 from edtorch.policy.knots import KnotPolicy
 from edtorch.policy.squash import Squash
 from edtorch.search.imagination import Futures
-from edtorch.search.plan import Cost
-from edtorch.search.problem import SearchProblem
 from edtorch.search.shooting import shoot
 from edtorch.search.starts import sinusoids
 from edtorch.search.stationary import Stationary, goal_knot
-from edtorch.search.tick_model import TickModel
 from edtorch.value.linear.stationary import regulator_at
 from tests.planning import (
     HANGING,
     oscillator,
     oscillator_cost,
+    search_problem,
     swing_up,
     swing_up_cost,
     tick_once,
@@ -31,37 +28,12 @@ from tests.planning import (
 )
 
 
-def _problem(model: TickModel, cost: Cost) -> SearchProblem:
-    n = len(model.structure.source)
-
-    def unasked(*_: object) -> torch.Tensor:
-        raise AssertionError
-
-    learn: Callable[..., object] = unasked
-    return SearchProblem(
-        names=[f"s{i}" for i in range(n)],
-        scale=torch.ones(n, dtype=torch.float64),
-        structures={"only": model.structure},
-        learn=learn,  # pyright: ignore[reportArgumentType]
-        rows=cost.rows,
-        action=cost.action,
-        middle=torch.from_numpy(model.middle),
-        half=torch.from_numpy(model.half),
-        period=model.structure.period,
-        dt=model.dt,
-        starts=unasked,
-        judge=None,
-        noise=None,
-        goal=torch.zeros(cost.ticks + 1, n, dtype=torch.float64),
-    )
-
-
 def test_the_goal_has_the_regulator_in_raw_actions() -> None:
     """A weight in the way: the action that holds it is not zero, nor is the middle of the range."""
     model = replace(oscillator(), middle=np.array([0.5]), half=np.array([3.0]))
     cost = oscillator_cost(model, 5)
     cost.rows[:, 0, 0] = -0.4  # x is wanted at 0.4, where u = -0.8 holds it
-    problem = replace(_problem(model, cost), goal=torch.tensor([[0.4, 0.0]]).double())
+    problem = replace(search_problem(model, cost), goal=torch.tensor([[0.4, 0.0]]).double())
     knot = goal_knot(problem, model, cost)
     np.testing.assert_allclose(knot.state, [[0.4, 0.0]] * 2, atol=1e-9)
     action = 0.5 + 3 * np.tanh(knot.raw[0])
@@ -82,7 +54,7 @@ def test_a_goal_that_cannot_be_held_is_no_plan() -> None:
     weak = replace(model, weight=model.weight * np.array([1.0, 1.0, 0.0]))
     cost = oscillator_cost(weak, 5)
     with pytest.raises(NoPlan, match="the goal cannot be held"):
-        goal_knot(_problem(weak, cost), weak, cost)
+        goal_knot(search_problem(weak, cost), weak, cost)
 
 
 def test_a_swing_up_is_held_for_longer_than_its_plan() -> None:
@@ -92,7 +64,7 @@ def test_a_swing_up_is_held_for_longer_than_its_plan() -> None:
     cost = swing_up_cost(model, 40)
     starts = sinusoids(HANGING, 40, 1, model.dt, 2, np.random.default_rng(0))
     plan = shoot(model, cost, starts).plans[0]
-    problem, kind = _problem(model, whole), Stationary()
+    problem, kind = search_problem(model, whole), Stationary()
     futures = Futures(
         weight=np.tile(model.weight, (6, 1, 1)),
         start=HANGING + 0.05 * noise.standard_normal((6, 4)),
@@ -120,7 +92,7 @@ def test_the_nearest_knot_alone_is_a_width_of_zero() -> None:
     cost, start = oscillator_cost(model, 30), np.array([0.4, -0.2])
     (plan,) = shoot(model, cost, sinusoids(start, 30, 1, 0.1, 1, np.random.default_rng(0))).plans
     futures = Futures(model.weight[None], start[None], np.zeros((1, 30, 2)))
-    problem = _problem(model, cost)
+    problem = search_problem(model, cost)
     (carried,) = Stationary(width=0.0).carried(problem, model, cost, [plan], futures)
     squash = Squash(problem.middle, problem.half)
     metric = torch.ones(2, dtype=torch.float64)
@@ -140,4 +112,4 @@ def test_what_moves_is_not_for_it() -> None:
     with pytest.raises(
         ValueError, match="policy=stationary: expected a reward without a reference"
     ):
-        Stationary().actor(_problem(model, cost), 5)
+        Stationary().actor(search_problem(model, cost), 5)

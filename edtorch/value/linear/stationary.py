@@ -68,13 +68,27 @@ def regulator_at(
     cannot stabilise it there.
     """
     state, action = standing(structure, weight, state, held, middle, half, tolerance)
+    return regulator_about(structure, weight, state, action, seconds, rows, price / half.square())
+
+
+def regulator_about(
+    structure: Structure,
+    weight: Tensor,
+    state: Float[Tensor, " n"],
+    action: Float[Tensor, " m"],
+    seconds: float,
+    rows: Float[Tensor, "r A"],
+    cost: Float[Tensor, " m"],
+) -> StationaryRegulator:
+    """As ``regulator_at``, of deviations from a state and an action, whether or not the model
+    stands still there; cost: of the square of each action."""
     n = state.shape[-1]
     jacobian = runge_kutta_jacobian(structure, weight, state, action, seconds)
     slope = rows @ structure.lift.jacobian(state, action)[:, :n]
-    gain, cost = stationary_lqr(
-        jacobian[:, :n], jacobian[:, n:], slope.mT @ slope, torch.diag(price / half.square())
+    gain, found = stationary_lqr(
+        jacobian[:, :n], jacobian[:, n:], slope.mT @ slope, torch.diag(cost)
     )
-    return StationaryRegulator(state, action, gain, cost)
+    return StationaryRegulator(state, action, gain, found)
 
 
 def standing(
