@@ -196,6 +196,12 @@ class GymnasiumSim:
         return 1 if self._source.more is None else None
 
     @property
+    def rows_at_once(self) -> int:
+        """How many copies are used side by side where fewer do as well: one of MuJoCo's takes
+        2 MB."""
+        return self.most_rows or 1000
+
+    @property
     def action_dtype(self) -> np.dtype[Any]:
         """The number type of the environment's actions."""
         return self._box.dtype

@@ -48,7 +48,7 @@ def evaluate(
     among: the other episodes of the run, see ``edtorch.run.success.all_settled``; purpose: of the
     random numbers.  Lost episodes are left out.
     """
-    most = getattr(world.sim, "most_rows", None)
+    most = getattr(world.sim, "rows_at_once", None)
     at_once = max(1, episodes if most is None else most // len(seeds))
     found: list[list[Episode]] = [[] for _ in seeds]
     for first in range(0, episodes, at_once):

@@ -17,6 +17,15 @@ from sims.sensing import Sensed
 from tests.systems import bicycle_training
 
 
+class OneByOne(Bicycle):
+    """A simulator of few rows."""
+
+    rows_at_once = 3
+
+
+BICYCLE = Bicycle()
+
+
 def run(training: Training) -> Training:
     while not training.done:
         training.advance(100)
@@ -27,9 +36,9 @@ def test_evaluation_is_fresh_reproducible_and_independent_of_its_company() -> No
     training = run(bicycle_training([0, 1], Budget(seconds=1.0)))
     policy, parameters = training.learner.policy, training.learners.policy
 
-    def lengths(seeds: list[int], episodes: int) -> list[list[float]]:
+    def lengths(seeds: list[int], episodes: int, sim: Bicycle = BICYCLE) -> list[list[float]]:
         rows = {name: p[seeds] for name, p in parameters.items()}
-        world = World(Bicycle())
+        world = World(sim)
         result = evaluate(policy, rows, world, seeds, episodes)
         assert [len(own) for own in result] == [episodes] * len(seeds)
         return [[e.seconds for e in own] for own in result]
@@ -37,6 +46,7 @@ def test_evaluation_is_fresh_reproducible_and_independent_of_its_company() -> No
     both = lengths([0, 1], 6)
     assert lengths([1], 6) == [both[1]]
     assert [own[:3] for own in both] == lengths([0, 1], 3)
+    assert lengths([0, 1], 6, OneByOne()) == both
     assert len(set(both[0])) > 1
 
 
