@@ -28,6 +28,19 @@ class CartDoublePendulum(HeldTip):
     (The published loss takes the rods for 1 m long, the published dynamics for 0.6 m.)
     """
 
+    name = "cart_double_pendulum"
+    state = (
+        Quantity("position", "m"),
+        Quantity("speed", "m/s", scale=3.0, rate_of="position"),
+        Quantity("angle_1", "rad", period=2 * math.pi),
+        Quantity("rate_1", "rad/s", scale=6.0, rate_of="angle_1"),
+        Quantity("angle_2", "rad", period=2 * math.pi),
+        Quantity("rate_2", "rad/s", scale=6.0, rate_of="angle_2"),
+    )
+    action = (Quantity("force", "N", scale=20.0, low=-20.0, high=20.0),)
+    mean = (0.0, 0.0, math.pi, 0.0, math.pi, 0.0)
+    deviation = (0.1, 0.1, 0.01, 0.1, 0.01, 0.1)
+    height = 2 * LENGTH
     substeps = 20
 
     def __init__(
@@ -37,25 +50,7 @@ class CartDoublePendulum(HeldTip):
         hold_from: float = 4.0,
         width: float = 0.5,
     ) -> None:
-        super().__init__(
-            name="cart_double_pendulum",
-            state=(
-                Quantity("position", "m"),
-                Quantity("speed", "m/s", scale=3.0, rate_of="position"),
-                Quantity("angle_1", "rad", period=2 * math.pi),
-                Quantity("rate_1", "rad/s", scale=6.0, rate_of="angle_1"),
-                Quantity("angle_2", "rad", period=2 * math.pi),
-                Quantity("rate_2", "rad/s", scale=6.0, rate_of="angle_2"),
-            ),
-            action=(Quantity("force", "N", scale=20.0, low=-20.0, high=20.0),),
-            mean=(0.0, 0.0, math.pi, 0.0, math.pi, 0.0),
-            deviation=(0.1, 0.1, 0.01, 0.1, 0.01, 0.1),
-            height=2 * LENGTH,
-            width=width,
-            dt=dt,
-            time_limit=time_limit,
-            hold_from=hold_from,
-        )
+        super().__init__(dt, time_limit, hold_from, width)
 
     def derivative(self, xp: Namespace) -> Function:
         """ds/dt from state and action: M(q) a = h by elimination of the outer rod, then of the

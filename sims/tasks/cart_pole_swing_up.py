@@ -29,6 +29,17 @@ class CartPoleSwingUp(HeldTip):
     after the start: ``amplitude`` sin(2 pi t / ``period``), m.
     """
 
+    name = "cart_pole_swing_up"
+    state = (
+        Quantity("position", "m"),
+        Quantity("speed", "m/s", scale=3.0, rate_of="position"),
+        Quantity("angle", "rad", period=2 * math.pi),
+        Quantity("rate", "rad/s", scale=6.0, rate_of="angle"),
+    )
+    action = (Quantity("force", "N", scale=10.0, low=-10.0, high=10.0),)
+    mean = (0.0, 0.0, math.pi, 0.0)
+    deviation = (0.1, 0.1, 0.1, 0.1)
+    height = LENGTH
     substeps = 20
 
     def __init__(
@@ -40,25 +51,7 @@ class CartPoleSwingUp(HeldTip):
         amplitude: float = 0.0,
         period: float = 4.0,
     ) -> None:
-        super().__init__(
-            name="cart_pole_swing_up",
-            state=(
-                Quantity("position", "m"),
-                Quantity("speed", "m/s", scale=3.0, rate_of="position"),
-                Quantity("angle", "rad", period=2 * math.pi),
-                Quantity("rate", "rad/s", scale=6.0, rate_of="angle"),
-            ),
-            action=(Quantity("force", "N", scale=10.0, low=-10.0, high=10.0),),
-            mean=(0.0, 0.0, math.pi, 0.0),
-            deviation=(0.1,) * 4,
-            height=LENGTH,
-            width=width,
-            dt=dt,
-            time_limit=time_limit,
-            hold_from=hold_from,
-            amplitude=amplitude,
-            period=period,
-        )
+        super().__init__(dt, time_limit, hold_from, width, amplitude, period)
 
     def derivative(self, xp: Namespace) -> Function:
         """ds/dt from state and action."""

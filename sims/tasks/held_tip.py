@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import namedtuple
-from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -32,7 +33,7 @@ TIP_DISTANCE = Measure("tip_distance_m", "distance of the tip at the end", "m", 
 TIP_RMS = Measure("tip_rms_m", "rms distance of the tip while it is to be held", "m", "lower")
 
 
-class HeldTip(RowSim):
+class HeldTip(RowSim, ABC):
     """A mechanism of rods in a vertical plane, and a point where the tip of the last is to be.
 
     Angles are from upright, positive anticlockwise: a rod of length l ends l (-sin, cos) from its
@@ -44,29 +45,34 @@ class HeldTip(RowSim):
     1 as long as an episode may still be a success, else 0, and the sum of the squared distances
     (m^2) since ``hold_from``.  An observation has the angles within half a turn of upright.
 
-    A subclass has ``substeps``, ``derivative`` and ``joints``.
+    A subclass has the attributes below, ``derivative`` and ``joints``, and a constructor with the
+    published values as defaults.
 
-    Arguments: ``name``; ``state``, ``action``: the components; ``mean``, ``deviation``: of the
-    normal distribution of the start, per component; ``height``, ``width``, ``amplitude`` in m;
-    ``dt``, ``time_limit``, ``hold_from``, ``period`` in s.
+    Arguments: ``width``, ``amplitude`` in m; ``dt``, ``time_limit``, ``hold_from``, ``period`` in
+    s.
     """
 
-    substeps: int
+    name: ClassVar[str]
+    """Of the domain."""
+    state: ClassVar[tuple[Quantity, ...]]
+    """The components of the mechanism's state."""
+    action: ClassVar[tuple[Quantity, ...]]
+    """The components of the action."""
+    mean: ClassVar[tuple[float, ...]]
+    """Of the normal distribution of the start, per component."""
+    deviation: ClassVar[tuple[float, ...]]
+    """Standard deviations of it."""
+    height: ClassVar[float]
+    """Of the target, m."""
+    substeps: ClassVar[int]
     """Of Runge and Kutta's method in a tick."""
 
     def __init__(
         self,
-        *,
-        name: str,
-        state: tuple[Quantity, ...],
-        action: tuple[Quantity, ...],
-        mean: Sequence[float],
-        deviation: Sequence[float],
-        height: float,
-        width: float,
         dt: float,
         time_limit: float,
         hold_from: float,
+        width: float,
         amplitude: float = 0.0,
         period: float = 1.0,
     ) -> None:
@@ -81,33 +87,32 @@ class HeldTip(RowSim):
             )
         if not math.isfinite(amplitude):
             raise ValueError(f"amplitude={amplitude}: expected a finite number (m)")
-        self.mean, self.deviation = tuple(mean), tuple(deviation)
         self.constants = Constants(
-            *map(float, (dt, time_limit, hold_from, width, height, amplitude, period))
+            *map(float, (dt, time_limit, hold_from, width, self.height, amplitude, period))
         )
         self.spec = Spec(
-            name=name,
-            state=state,
-            action=action,
+            name=self.name,
+            state=self.state,
+            action=self.action,
             dt=dt,
             time_limit=time_limit,
             disturbance_dim=0,
-            reset_dim=len(state),
+            reset_dim=len(self.state),
             clip_action=True,
-            headline=next(quantity.name for quantity in state if quantity.period),
+            headline=next(quantity.name for quantity in self.state if quantity.period),
             measures=(TIP_DISTANCE, TIP_RMS),
             survival=False,
             can_fail=False,
         )
 
+    @abstractmethod
     def derivative(self, xp: Namespace) -> Function:
         """ds/dt of the mechanism: a function of its state and the action, tuples of rows."""
-        raise NotImplementedError(f"{type(self).__name__}: expected a function `derivative`")
 
+    @abstractmethod
     def joints(self, xp: Namespace) -> Function:
         """Where joints and tip are: a function of the mechanism's state that gives (x, y, x, y...)
         in m, from the first joint, at height 0, to the tip."""
-        raise NotImplementedError(f"{type(self).__name__}: expected a function `joints`")
 
     def _distance(self, xp: Namespace) -> Function:
         """Of the tip from its target, m: from (mechanism's state, seconds, constants)."""

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 from sims.base import Quantity
 from sims.rows import Function, Namespace
-from sims.tasks.double_pendulum import LENGTH, STATE, derivative_over, joints_over
-from sims.tasks.held_tip import HeldTip
+from sims.tasks.two_rods import TwoRods, derivative_over
 
 
-class Pendubot(HeldTip):
+class Pendubot(TwoRods):
     """The pendubot of pilco-matlab, ``scenarios/pendubot`` (``dynamics_pendubot.m``,
     ``settings_pendubot.m``).
 
@@ -22,9 +19,11 @@ class Pendubot(HeldTip):
     success  tip within ``width`` of (0, 1 m) at all ticks from ``hold_from`` on
     ======== ==================================================================================
 
-    The rods are those of ``sims.tasks.double_pendulum``.
+    The rods are those of ``sims.tasks.two_rods``.
     """
 
+    name = "pendubot"
+    action = (Quantity("torque", "N m", scale=3.5, low=-3.5, high=3.5),)
     substeps = 20
 
     def __init__(
@@ -34,24 +33,9 @@ class Pendubot(HeldTip):
         hold_from: float = 2.0,
         width: float = 0.25,
     ) -> None:
-        super().__init__(
-            name="pendubot",
-            state=STATE,
-            action=(Quantity("torque", "N m", scale=3.5, low=-3.5, high=3.5),),
-            mean=(math.pi, 0.0, math.pi, 0.0),
-            deviation=(0.01, 0.1, 0.01, 0.1),
-            height=2 * LENGTH,
-            width=width,
-            dt=dt,
-            time_limit=time_limit,
-            hold_from=hold_from,
-        )
+        super().__init__(dt, time_limit, hold_from, width)
 
     def derivative(self, xp: Namespace) -> Function:
         """ds/dt from state and action."""
         moved = xp.jit(derivative_over(xp))
         return lambda s, action: moved(s, action[0], 0.0)
-
-    def joints(self, xp: Namespace) -> Function:
-        """The pivot, the joint between the rods, the tip."""
-        return joints_over(xp)

@@ -24,6 +24,15 @@ class PendulumSwingUp(HeldTip):
     ======== ==================================================================================
     """
 
+    name = "pendulum_swing_up"
+    state = (
+        Quantity("angle", "rad", period=2 * math.pi),
+        Quantity("rate", "rad/s", scale=6.0, rate_of="angle"),
+    )
+    action = (Quantity("torque", "N m", scale=2.5, low=-2.5, high=2.5),)
+    mean = (math.pi, 0.0)
+    deviation = (0.1, 0.1)
+    height = LENGTH
     substeps = 10
 
     def __init__(
@@ -33,21 +42,7 @@ class PendulumSwingUp(HeldTip):
         hold_from: float = 3.0,
         width: float = 0.5,
     ) -> None:
-        super().__init__(
-            name="pendulum_swing_up",
-            state=(
-                Quantity("angle", "rad", period=2 * math.pi),
-                Quantity("rate", "rad/s", scale=6.0, rate_of="angle"),
-            ),
-            action=(Quantity("torque", "N m", scale=2.5, low=-2.5, high=2.5),),
-            mean=(math.pi, 0.0),
-            deviation=(0.1, 0.1),
-            height=LENGTH,
-            width=width,
-            dt=dt,
-            time_limit=time_limit,
-            hold_from=hold_from,
-        )
+        super().__init__(dt, time_limit, hold_from, width)
 
     def derivative(self, xp: Namespace) -> Function:
         """ds/dt from state and action: m l^2 / 3 times the acceleration is the torque."""
