@@ -41,8 +41,8 @@ STARTS_SEEN = 100
 
 @dataclass(frozen=True)
 class Solved:
-    """When a task counts as solved: a share ``rate`` of successes, or a ``mean_return``, of at
-    least so much in fresh episodes; None: not asked."""
+    """When a task counts as solved: a success rate of at least ``rate`` and a mean return of at
+    least ``mean_return``, in fresh episodes; None: not required."""
 
     rate: float | None
     mean_return: float | None
@@ -50,21 +50,21 @@ class Solved:
 
     @property
     def asked(self) -> bool:
-        """Whether anything is asked."""
+        """Whether there is a criterion."""
         return self.rate is not None or self.mean_return is not None
 
     def holds(self, rate: float, mean_return: float) -> bool:
-        """Whether it does."""
+        """Whether these figures meet it."""
         good = self.rate is None or rate >= self.rate
         return self.asked and good and (self.mean_return is None or mean_return >= self.mean_return)
 
 
 @dataclass(frozen=True)
 class PlannedSetup:
-    """Everything that a search between trials is made of.
+    """The parts of a search between trials.
 
     ticks: of a trial; trials: at most, None for any number; calm: a new world to evaluate in;
-    initial: parameters ``[S, ...]`` before the first improvement; told: in words.
+    initial: parameters ``[S, ...]`` before the first improvement; told: prior knowledge, in words.
     """
 
     name: str

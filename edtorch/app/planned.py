@@ -122,8 +122,7 @@ class PlannedLearners(Work):
             job.whole()
 
     def _acting(self) -> list[int]:
-        """Rows that have a trial to run.  All of them have had as many: those that are done
-        stop."""
+        """Rows that still run trials; all of these have had the same number."""
         setup, limit = self._setup, self._setup.budget
         seconds = math.inf if limit.seconds is None else limit.seconds
         return [

@@ -15,7 +15,7 @@ from edtorch.search.problem import Improvement
 
 @dataclass
 class SeedProgress:
-    """planned: whether it has a plan; seconds: of experience; trials: done; after each of them
+    """planned: whether it has a policy; seconds: of experience; trials: done; after each of them
     seconds_after and the rates of success; solved, solved_trials: seconds and trials when its task
     first counted as solved, None for not yet; cpu_s: of learning from each trial."""
 

@@ -43,7 +43,7 @@ class Told:
         ignored: Collection[str] = (),
         invariant: Collection[str] = (),
     ) -> Told:
-        """What ``spec`` tells, and what is told by name beside it.
+        """Prior knowledge from ``spec``, and by name beside it.
 
         spec: ``Quantity.period`` of 2 pi (an angle), ``Quantity.rate_of``, ``Spec.goal``
         (constant); rates: {rate: component that it is the derivative of}.  Raises ValueError for
@@ -90,7 +90,7 @@ class Told:
 
     @property
     def words(self) -> str:
-        """What is told, in a cell of a table."""
+        """The prior knowledge, in a cell of a table."""
         angles = [name for name, angle in zip(self.names, self.angle, strict=True) if angle]
         rates = [
             f"{name} of {self.names[of]}"

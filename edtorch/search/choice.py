@@ -1,8 +1,8 @@
-"""The choice among plans: each is carried out many times in models that may be true.
+"""The choice among plans: each is simulated many times in models drawn from the posterior.
 
-Plans of equal cost differ in how they bear what the model does not know: those with gains of
-hundreds amplify the errors of readings.  Their successes in roll-outs with weights drawn from the
-posterior, held throughout, with starts and errors of readings as they are, tell them apart.
+Plans of equal cost differ in their robustness to the uncertainty of the model: gains of hundreds
+amplify the errors of readings.  Their success rates distinguish them, in roll-outs whose weights
+are drawn from the posterior once each, with random starts and errors of readings.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROUNDED = 20
 @dataclass(frozen=True)
 class PlanChoice:
     """place: of the chosen plan among the candidates; success: share of its futures in which the
-    task was done, nan where nobody judges; cost: mean over its finite futures."""
+    task was done, nan without a criterion; cost: mean over its finite futures."""
 
     place: int
     success: float

@@ -1,4 +1,4 @@
-"""How plans are carried out: by policies that are imagined before one is taken."""
+"""The policies that execute plans, each simulated before one is taken."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from edtorch.types import Parameters
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """A plan made a policy: its parameters, without a population axis, and what they came to in
-    each future."""
+    """A plan as a policy: its parameters, without a population axis, and their roll-outs in each
+    future."""
 
     parameters: Mapping[str, np.ndarray]
     imagined: Imagined
 
 
 class Execution(Protocol):
-    """A kind of policy that plans lead to."""
+    """A kind of policy that executes plans."""
 
     def actor(self, problem: SearchProblem, ticks: int) -> tuple[Policy, EpisodeMemory | None]:
-        """Who acts by plans of so many ticks, and what goes with it.  Raises ValueError where that
-        cannot be."""
+        """The policy for plans of so many ticks, and its memory if it has one.  Raises ValueError
+        for a problem that it cannot solve."""
         ...
 
     def carried(
@@ -46,6 +46,6 @@ class Execution(Protocol):
         ...
 
     def left(self, problem: SearchProblem, parameters: Parameters, limit: float) -> Left | None:
-        """Whether a trial by these parameters ``[B, ...]`` has left its plan by a scaled distance
+        """Whether a trial with these parameters ``[B, ...]`` has left its plan by a scaled distance
         of ``limit``; None where it has none to leave."""
         ...

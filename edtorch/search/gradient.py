@@ -36,8 +36,8 @@ policies are best."""
 class GradientSearch(RandomFirst):
     """A stationary policy u = middle + half tanh(theta . phi(s)), phi the monomials of the lift up
     to ``degree`` (``edtorch.policy.lifted``): where starts are spread wide, one plan does not do.
-    odd: those monomials alone that change their sign with the state, as is best in a system with a
-    mirror image; this is told, too.
+    odd: only the monomials that change sign with the state, for a system with mirror symmetry; this
+    counts as prior knowledge, too.
 
     Its cost from ``starts`` starts over ``horizon`` seconds (None: an episode) is lowered
     (``edtorch.search.policy_descent``) from ``restarts`` random theta of deviation ``spread``, over
@@ -64,7 +64,7 @@ class GradientSearch(RandomFirst):
     )
 
     def __post_init__(self) -> None:
-        """Refuse impossible settings."""
+        """Reject invalid settings."""
         super().__post_init__()
         for name in ("degree", "starts", "restarts", "draws", "substeps"):
             value = getattr(self, name)

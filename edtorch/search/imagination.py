@@ -1,4 +1,4 @@
-"""Roll-outs of a policy in models that may be true: how likely is it to succeed?"""
+"""Roll-outs of a policy in models drawn from the posterior: how likely is it to succeed?"""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Imagined:
 
 @dataclass(frozen=True, eq=False)
 class Futures:
-    """P possible courses of H ticks, scaled: weights of the model ``[P, L, K]``, held throughout;
+    """P random futures of H ticks, scaled: weights of the model ``[P, L, K]``, held throughout;
     starts ``[P, n]``; noise ``[P, H, n]``: what is added to the state in a reading."""
 
     weight: np.ndarray

@@ -1,4 +1,4 @@
-"""What a search has learned of its system: readings of all trials, and the plans so far."""
+"""The data of a search: readings of all trials, and the last plans."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from torch import Tensor
 from edtorch.types import Transition
 
 WARM = 3
-"""So many of the last plans are kept to start from."""
+"""Number of the last plans that are kept to start from."""
 
 
 @dataclass(frozen=True)
 class Knowledge:
     """readings: of each trial ``[T + 1, n]``; actions ``[T, m]``, valid ``[T]``, all scaled; plans:
-    raw actions ``[H, m]`` of the last plans that were carried out, or weights ``[m, F]`` of the
+    raw actions ``[H, m]`` of the last plans that were executed, or weights ``[m, F]`` of the
     last policies, the last one first."""
 
     readings: Sequence[Tensor] = ()
@@ -40,7 +40,7 @@ class Knowledge:
         return replace(self, plans=[raw, *self.plans][:WARM])
 
     def transitions(self, dt: float) -> Transition:
-        """All of them, of which nothing is left out: ``valid`` says which count."""
+        """The transitions of all trials; ``valid`` says which count."""
         like = self.readings[0]
         return Transition(
             state=torch.cat([r[:-1] for r in self.readings]),

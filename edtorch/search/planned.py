@@ -1,5 +1,5 @@
-"""Search by planning: Gauss and Newton through time on the learned model, and a choice among the
-plans by what the uncertainty of the model leaves of them."""
+"""Search by planning: Gauss-Newton trajectory optimisation on the learned model, and a choice among
+the plans by their success under the uncertainty of the model."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ EXECUTIONS: Mapping[str, Execution] = {"timed": Timed(), "stationary": Stationar
 
 @dataclass(frozen=True)
 class PlannedSearch(RandomFirst):
-    """Plans from the mean start, by single shooting from ``starts`` swinging actions and the last
+    """Plans from the mean start, by single shooting from ``starts`` sinusoidal actions and the last
     plans, and by multiple shooting from ``straight`` lines to the target and from ``programmed``
     paths to it (``edtorch.search.ipopt``, no more than there are choices of the directions in which
     the angles turn; from a line itself where there is no path).
 
-    policy: what carries a plan out, ``timed`` (``edtorch.search.timed``) or ``stationary``, which
+    policy: what executes a plan, ``timed`` (``edtorch.search.timed``) or ``stationary``, which
     goes on after it (``edtorch.search.stationary``).  horizon: seconds of a plan, None: of
-    a trial.
-    ramp: seconds for which weights grow as (t / ramp)^power, and for which a plan is made first; it
-    then goes on to its horizon in segments of constant weights.  None: the horizon.  squash: see
-    ``edtorch.search.plan.Cost``.
+    a trial.  ramp: seconds for which weights grow as (t / ramp)^power, and for which a plan is made
+    first; it then goes on to its horizon in segments of constant weights.  None: the horizon.
+    squash: see ``edtorch.search.plan.Cost``.
+
     gains: ``plain`` ones of the plan, those for noisy readings (``covariance``), or the better of
-    ``both``.  keep: plans with the least cost that are imagined ``draws`` times each, with models
-    drawn from the posterior, its deviations times ``inflation``, and held; that with the most
-    successes is taken, the cheaper at a tie.  abort: scaled distance from the plan at which a trial
-    is given up, None: never.  substeps: of Runge and Kutta's method in a tick.
+    ``both``.  keep: number of the cheapest plans that are simulated ``draws`` times each, in models
+    drawn from the posterior, its deviations times ``inflation``; the one with the most successes is
+    taken, the cheaper at a tie.  abort: scaled distance from the plan at which a trial is aborted,
+    None: never.  substeps: of Runge and Kutta's method in a tick.
     """
 
     policy: Literal["timed", "stationary"] = "timed"
@@ -77,7 +77,7 @@ class PlannedSearch(RandomFirst):
     )
 
     def __post_init__(self) -> None:
-        """Refuse impossible settings."""
+        """Reject invalid settings."""
         super().__post_init__()
         counts = (("starts", 0), ("straight", 0), ("programmed", 0), ("keep", 1), ("draws", 1))
         for name, least in counts:
@@ -166,7 +166,7 @@ class PlannedSearch(RandomFirst):
         knowledge: Knowledge,
         generator: np.random.Generator,
     ) -> tuple[list[Plan], int]:
-        """Finite plans, the cheapest first, and how many starts came to nothing."""
+        """Finite plans, the cheapest first, and how many starts failed."""
         start, m = mean_start(starts, problem.period).numpy(), len(problem.half)
         horizon, first = self._ticks(problem)
         goal, dt = problem.goal[: horizon + 1].numpy(), problem.dt
@@ -196,7 +196,7 @@ class PlannedSearch(RandomFirst):
         starts: Tensor,
         noise: Tensor,
     ) -> list[Plan]:
-        """The plans with their own gains, then with those for noisy readings, as ``gains`` says."""
+        """The plans with their own gains, then with noise-aware ones, as ``gains`` says."""
         if self.gains == "plain":
             return list(plans)
         away = wrapped(starts - mean_start(starts, problem.period), problem.period)

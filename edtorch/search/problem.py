@@ -1,4 +1,4 @@
-"""What a search between trials is given of its task."""
+"""The task as a search between trials sees it, and what it returns."""
 
 from __future__ import annotations
 
@@ -27,9 +27,8 @@ class SearchProblem:
     ``[H + 1, r, A]`` and action ``[m]``: as of ``edtorch.search.plan.Cost``; middle, half ``[m]``:
     of the range of the actions; period ``[n]``: of angles, else 0; dt: s; starts: of a seed to
     readings ``[k, n]`` of starts; judge: of true states ``[*batch, H + 1, n]`` to whether the task
-    would be done, bool ``[*batch]``, None where nobody says; noise ``[n]``: standard deviations of
-    readings where they are told; goal ``[H + 1, n]``: the states that the
-    rows want.
+    is done, bool ``[*batch]``, None where the domain has no criterion; noise ``[n]``: standard
+    deviations of readings where they are known; goal ``[H + 1, n]``: the target states of the rows.
     """
 
     names: Sequence[str]
@@ -64,11 +63,11 @@ class SearchProblem:
         )
 
     def noise_of(self, learned: LearnedModel) -> Tensor:
-        """Standard deviations ``[n]`` of readings: those that are told, else estimated ones."""
+        """Standard deviations ``[n]`` of readings: the known ones, else estimates."""
         return learned.reading_noise if self.noise is None else self.noise
 
     def check_constant(self, group: str) -> None:
-        """Refuse a reward that follows a reference, for policies without a clock.  ValueError
+        """Reject a reward that follows a reference, for policies without a clock.  ValueError
         begins with ``group``."""
         if bool((self.rows != self.rows[:1]).any()):
             raise ValueError(
@@ -77,7 +76,7 @@ class SearchProblem:
             )
 
     def check_prices(self, group: str) -> None:
-        """Refuse actions that cost nothing, for regulators.  ValueError begins with ``group``."""
+        """Reject actions that cost nothing, for regulators.  ValueError begins with ``group``."""
         if not (self.action > 0).all():
             raise ValueError(
                 f"{group}: expected a reward in which every action has a weight > 0"
@@ -86,8 +85,8 @@ class SearchProblem:
 
 
 def ticks_of(name: str, seconds: float | None, most: int, dt: float, of: str) -> int:
-    """Seconds of a setting as ticks, all of ``most`` for None; of: what has so many.  Raises
-    ValueError."""
+    """Seconds of a setting as ticks, ``most`` for None; of: what the limit belongs to, for the
+    message.  Raises ValueError."""
     ticks = most if seconds is None else round(seconds / dt)
     if not 1 <= ticks <= most:
         raise ValueError(
@@ -97,13 +96,13 @@ def ticks_of(name: str, seconds: float | None, most: int, dt: float, of: str) ->
 
 
 Left = Callable[[int, Tensor], Tensor]
-"""(tick, readings ``[B, n]``) to whether each trial is to be given up, bool ``[B]``."""
+"""(tick, readings ``[B, n]``) to whether each trial is to be aborted, bool ``[B]``."""
 
 
 @dataclass(frozen=True)
 class Improvement:
-    """What is learned from a trial: parameters of the policy, without a population axis; the
-    knowledge with its plan; figures by name, for ``metrics.csv``; notes: lines for people."""
+    """The result of learning from a trial: parameters of the policy, without a population axis; the
+    knowledge with its plan; figures by name, for ``metrics.csv``; notes: lines for the user."""
 
     parameters: Parameters
     knowledge: Knowledge
@@ -127,15 +126,15 @@ class TrialSearch(Protocol):
 
     @property
     def prior(self) -> str:
-        """Prior knowledge of the task other than that of the state's components, in words."""
+        """Prior knowledge of the task beyond that of the state's components, in words."""
         ...
 
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
-        """Who acts by the parameters of an improvement, and what goes with it."""
+        """The policy that takes the parameters of an improvement, and its memory if it has one."""
         ...
 
     def left(self, problem: SearchProblem, parameters: Parameters) -> Left | None:
-        """When a trial by these parameters ``[B, ...]`` is to be given up; None: never."""
+        """When a trial with these parameters ``[B, ...]`` is to be aborted; None: never."""
         ...
 
     def improve(

@@ -1,4 +1,4 @@
-"""How long trials last, and those with random actions that a search begins with."""
+"""The length of trials, and the random trials that a search begins with."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RandomFirst:
-    """trial: seconds of a trial, None: a whole episode; random: of a random one, None: as long as
-    any; random_trials: how many there are; random_size: share of the range of the actions that they
-    use."""
+    """trial: seconds of a trial, None: a whole episode; random: of a random one, None: the same;
+    random_trials: their number; random_size: share of the range of the actions that they use."""
 
     trial: float | None = None
     random: float | None = None
@@ -17,7 +16,7 @@ class RandomFirst:
     random_size: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse impossible settings."""
+        """Reject invalid settings."""
         for name in ("trial", "random"):
             value = getattr(self, name)
             if value is not None and not value > 0:
@@ -29,5 +28,5 @@ class RandomFirst:
 
     @property
     def prior(self) -> str:
-        """Prior knowledge of the task other than that of the state's components, in words."""
+        """Prior knowledge of the task beyond that of the state's components, in words."""
         return ""

@@ -1,4 +1,4 @@
-"""Plans beyond the first horizon, a segment at a time."""
+"""Plans beyond the first horizon, one segment at a time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def plan_through(
     goal: np.ndarray,
     keep: int,
 ) -> tuple[list[Plan], int]:
-    """The ``keep`` cheapest finite plans, the cheapest first, and how many starts came to nothing.
+    """The ``keep`` cheapest finite plans, the cheapest first, and how many starts failed.
 
     Over the first ``first`` ticks from ``swings`` by single shooting and from ``straight`` by
     multiple shooting; what is cheapest there goes on to the horizon of ``cost`` (``extend``).
@@ -54,9 +54,9 @@ def extend(
 
     What follows the plan is planned by single shooting from its end, with a horizon that grows by
     ``grow`` ticks a time: new ticks start with the gain that held 12 ticks before the end, about
-    the states ``goal`` ``[T + 1, n]``.  One plan over all of a long horizon is hasty, and its gains
-    are large.  The plan itself stays; the cost returned is its own and that of the ticks after it
-    in ``cost``.  None where a segment came to nothing.  Raises ValueError for arrays that do not
+    the states ``goal`` ``[T + 1, n]``.  A single plan over a long horizon moves too fast, and its
+    gains are large.  The plan itself stays; the cost returned is its own and that of the ticks
+    after it in ``cost``.  None where a segment failed.  Raises ValueError for arrays that do not
     fit each other, Unavailable where the kernels cannot be compiled.
     """
     first, last = len(plan.raw), cost.ticks

@@ -1,5 +1,5 @@
 """Gauss-Newton through time from many starts at once (Li & Todorov, "Iterative linear quadratic
-regulator design", 2004): the plans, and how many starts came to nothing."""
+regulator design", 2004): the plans, and how many starts failed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where planning starts: raw actions that swing, and straight lines through the state space."""
+"""Starts of planning: sinusoidal raw actions, and straight lines through the state space."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plans carried out without a clock, and a goal that is held for as long as a trial lasts."""
+"""Plans executed without a clock, and a goal that is held as long as a trial lasts."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Stationary:
         return found
 
     def left(self, problem: SearchProblem, parameters: Parameters, limit: float) -> Left | None:
-        """See ``Execution``: there is no tick at which it should be anywhere."""
+        """See ``Execution``: never, as it follows no clock."""
         return None
 
 

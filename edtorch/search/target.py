@@ -1,4 +1,4 @@
-"""Mean starts on the circle, and the states that a cost wants."""
+"""Mean starts on the circle, and the target states of a cost."""
 
 from __future__ import annotations
 

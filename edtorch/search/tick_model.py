@@ -12,7 +12,7 @@ from edtorch.model.mechanism import Structure
 
 @dataclass(frozen=True, eq=False)
 class TickModel:
-    """A mechanism model with its weights, and the actions it is given.
+    """A mechanism model with its weights and the bounds of its actions.
 
     weight ``[L, K]``; dt: seconds of a tick, which takes ``substeps`` steps of Runge and Kutta's
     method; middle and half ``[m]``: the bounds of the actions, scaled, are middle - half and

@@ -1,4 +1,4 @@
-"""Plans carried out tick by tick."""
+"""Plans executed tick by tick."""
 
 from __future__ import annotations
 
