@@ -87,6 +87,7 @@ RENAMED_KEYS = {
     "noise.exploration_decay": "exploration.decay",
     "rival.fall_cost": "rival.failure_cost",
     "rival.fall_penalty": "rival.failure_penalty",
+    "search.degree": "search.policy.degree",
     "train.rides": "train.successes",
 }
 """Settings by their former names, which command lines and saved configurations may still use."""
@@ -114,8 +115,7 @@ def current_keys(settings: Mapping[str, Any]) -> dict[str, Any]:
         (old_group, _, old_key), (group, _, key) = old.partition("."), new.partition(".")
         before = result.get(old_group)
         if isinstance(before, dict) and old_key in before:
-            value, node = before.pop(old_key), result.get(group)
-            result[group] = {**(node if isinstance(node, dict) else {}), key: value}
+            result[group] = _with(result.get(group), key, before.pop(old_key))
     domain = result.get("domain")
     inner = domain.get("sim") if isinstance(domain, dict) else None
     for node in (domain, inner):
@@ -123,6 +123,13 @@ def current_keys(settings: Mapping[str, Any]) -> dict[str, Any]:
             name = _DOMAINS[node["_target_"]]
             result |= {key: _components(name, result[key]) for key in _NAMING if key in result}
     return result
+
+
+def _with(node: Any, key: str, value: Any) -> dict[str, Any]:
+    """A copy of a node, empty if it is none, with a dotted ``key`` set."""
+    head, _, rest = key.partition(".")
+    known = dict(node) if isinstance(node, Mapping) else {}
+    return known | {head: _with(known.get(head), rest, value) if rest else value}
 
 
 COMPONENTS = {"linear": {"s": "state_", "a": "action_"}}

@@ -195,7 +195,8 @@ def _within_default(value: Any, default: Any) -> Any:
     """Settings of an object that is built by default are changes to what it is by default."""
     if isinstance(value, Mapping) and not isinstance(default, Mapping):
         whole = _plain_default(default)
-        if isinstance(whole, Mapping) and value.get("_target_", whole["_target_"]):
+        own = value.get("_target_", _UNSET)
+        if isinstance(whole, Mapping) and own in (_UNSET, whole["_target_"]):
             return merged(whole, value)
     return value
 

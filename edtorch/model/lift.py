@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -62,14 +64,23 @@ class Lift:
             raise ValueError(f"entry={name!r}: expected one of {', '.join(self.names)}")
         return self.names.index(name)
 
+    def entries_of(self, components: Sequence[int]) -> list[int]:
+        """The entries that these components of the state have, in order."""
+        first = [int(self.at[i]) for i in components]
+        pairs = [int(self.at[i]) + 1 for i in components if self.angle[i]]
+        return sorted(first + pairs)
+
+    def of_state(self, state: Tensor) -> Tensor:
+        """A ``[*batch, size]`` of a state ``[*batch, n]`` with the action 0."""
+        return self(state, state.new_zeros(*state.shape[:-1], self.actions))
+
     def __call__(self, state: Tensor, action: Tensor) -> Tensor:
         """A ``[*batch, size]`` of state ``[*batch, n]`` and action ``[*batch, m]``."""
-        radians = state[..., torch.from_numpy(np.flatnonzero(self.angle))] * torch.from_numpy(
-            self.unit[self.angle]
-        )
+        angles, unit, order = self._places
+        radians = state[..., angles] * unit
         one = torch.ones_like(state[..., :1])
         found = torch.cat([one, state, action, radians.sin(), radians.cos()], dim=-1)
-        return found[..., torch.from_numpy(self._order())]
+        return found[..., order]
 
     def jacobian(self, state: Tensor, action: Tensor) -> Tensor:
         """d A / d (s, u), ``[*batch, size, n + m]``."""
@@ -87,12 +98,16 @@ class Lift:
             found[..., self.action_at + k, n + k] = 1.0
         return found
 
-    def _order(self) -> np.ndarray:
-        """Where each entry is in [1 | s | u | sines | cosines]."""
+    @cached_property
+    def _places(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Which components are angles, their units, and where each entry is in
+        [1 | s | u | sines | cosines]."""
         n, m = self.states, self.actions
         sine = 1 + n + m + np.cumsum(self.angle) - 1
         order = np.zeros(self.size, dtype=np.int64)
         order[self.at] = np.where(self.angle, sine, 1 + np.arange(n))
         order[self.at[self.angle] + 1] = sine[self.angle] + self.angle.sum()
         order[self.action_at :] = 1 + n + np.arange(m)
-        return order
+        found = (np.flatnonzero(self.angle), self.unit[self.angle], order)
+        angles, unit, places = (torch.from_numpy(each) for each in found)
+        return angles, unit, places

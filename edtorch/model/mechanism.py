@@ -23,6 +23,9 @@ from edtorch.model.lift import Lift
 from edtorch.model.terms import Terms
 from edtorch.model.told import Told
 
+_LEAST_VARIANCE = 1e-30
+"""Of an acceleration: the derivative of a root is infinite at zero."""
+
 
 @dataclass(frozen=True, eq=False)
 class Structure:
@@ -82,6 +85,26 @@ def accelerations(structure: Structure, weight: Tensor, state: Tensor, action: T
     phi = structure.terms(structure.lift(state, action))
     h, coupling = _parts(structure, weight, phi.unsqueeze(-1))
     return _solved(h, coupling.squeeze(-1)).squeeze(-1)
+
+
+def acceleration_cov(
+    structure: Structure, weight: Tensor, cov: Tensor, state: Tensor, action: Tensor
+) -> Tensor:
+    """Covariance ``[*batch, L, L]`` of the learned derivatives, from those of the weights of each
+    ``[L, K, K]``, to first order: (I - N) df = dW phi f, and outputs are independent.
+
+    Other arguments as for ``accelerations``.
+    """
+    phi = structure.terms(structure.lift(state, action))
+    h, coupling = _parts(structure, weight, phi.unsqueeze(-1))
+    kind = torch.from_numpy(structure.terms.derivative)
+    if structure.implicit:
+        f = _solved(h, coupling.squeeze(-1)).squeeze(-1)
+        held = torch.cat([torch.ones_like(f[..., :1]), f], dim=-1)
+        phi = phi * held[..., kind + 1]
+    variance = torch.einsum("...k,lkj,...j->...l", phi, cov, phi)
+    root = _solved(torch.diag_embed(variance.clamp(min=_LEAST_VARIANCE).sqrt()), coupling[..., 0])
+    return root @ root.mT
 
 
 def state_derivative(structure: Structure, weight: Tensor, state: Tensor, action: Tensor) -> Tensor:

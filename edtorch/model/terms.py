@@ -73,16 +73,16 @@ class Terms:
     @classmethod
     def monomials(cls, told: Told, lift: Lift, degree: int = 4) -> Terms:
         """All monomials of the lift's entries up to ``degree``."""
-        entries = [k for i in told.acting for k in _entries(lift, i)] + _actions(lift)
+        entries = [*lift.entries_of(told.acting), *_actions(lift)]
         return _terms([(-1, factors) for factors in _monomials(lift, sorted(entries), degree)])
 
     @classmethod
     def of_state(
-        cls, lift: Lift, components: Iterable[int], degree: int, *, odd: bool = False
+        cls, lift: Lift, components: Sequence[int], degree: int, *, odd: bool = False
     ) -> Terms:
         """All monomials up to ``degree`` of the entries of these components of the state, without
         the constant; odd: those alone that change their sign with the state.  For policies."""
-        entries = sorted(k for i in components for k in _entries(lift, i))
+        entries = lift.entries_of(components)
         cosines = {int(k) + 1 for k in lift.at[lift.angle]}
 
         def wanted(factors: Factors) -> bool:
@@ -120,11 +120,6 @@ def _terms(found: Sequence[tuple[int, Factors]]) -> Terms:
     return Terms(table, np.array([j for j, _ in found], dtype=np.int64))
 
 
-def _entries(lift: Lift, component: int) -> list[int]:
-    first = int(lift.at[component])
-    return [first, first + 1] if lift.angle[component] else [first]
-
-
 def _actions(lift: Lift) -> list[int]:
     return list(range(lift.action_at, lift.size))
 
@@ -138,7 +133,7 @@ def _linear(told: Told, lift: Lift) -> list[int]:
 
 
 def _trigonometric(told: Told, lift: Lift, degree: int) -> list[Factors]:
-    entries = [k for i in told.acting if told.angle[i] for k in _entries(lift, i)]
+    entries = lift.entries_of([i for i in told.acting if told.angle[i]])
     return _monomials(lift, entries, degree)
 
 

@@ -5,48 +5,43 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from edtorch.errors import NoPlan
-from edtorch.model.lift import Lift
-from edtorch.model.terms import Terms
-from edtorch.policy.lifted import LiftedPolicy
+from edtorch.policy.bounded import BoundedPolicy
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash
 from edtorch.search.choice import choose, futures_of
-from edtorch.search.imagination import imagine_lifted
+from edtorch.search.families import MONOMIALS, PolicyFamily
+from edtorch.search.gauss_newton import GAUSS_NEWTON
+from edtorch.search.imagination import imagine_policies
+from edtorch.search.improver import Improver, PolicyTask, joined
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.plan import Cost, ramp
-from edtorch.search.policy_descent import Weighted, descend
 from edtorch.search.problem import Improvement, Left, SearchProblem, ticks_of
 from edtorch.search.random_first import RandomFirst
-from edtorch.search.tick_model import TickModel
 from edtorch.seeding import Purpose, numpy_generator
 from edtorch.types import Parameters
-
-GROWTH = (0.25, 0.5, 0.75, 1.0)
-"""Shares of the horizon, one after the other: what a policy does later depends on what it does
-first, and the cost over a long horizon has many poor local optima; over a very short one greedy
-policies are best."""
 
 
 @dataclass(frozen=True)
 class GradientSearch(RandomFirst):
-    """A stationary policy u = middle + half tanh(theta . phi(s)), phi the monomials of the lift up
-    to ``degree`` (``edtorch.policy.lifted``): where starts are spread wide, one plan does not do.
-    odd: only the monomials that change sign with the state, for a system with mirror symmetry; this
-    counts as prior knowledge, too.
+    """A stationary policy u = middle + half tanh(z(s)), z of the lift of the state: where starts
+    are spread wide, one plan does not do.
 
-    Its cost from ``starts`` starts over ``horizon`` seconds (None: an episode) is lowered
-    (``edtorch.search.policy_descent``) from ``restarts`` random theta of deviation ``spread``, over
-    a horizon that grows, and from the last policies.  The policy is taken that does best in
-    imagination, as in ``edtorch.search.planned.PlannedSearch``, whose settings ``power``,
-    ``squash``, ``draws``, ``inflation`` and ``substeps`` are.
+    policy: the kind of z (``edtorch.search.families``).  odd: z(-s) = -z(s), for a system
+    with mirror symmetry; this counts as prior knowledge, too.
+
+    Its cost from ``starts`` starts over ``horizon`` seconds (None: an episode), or its expectation
+    under a belief, is lowered by the ``improver`` (``edtorch.search.gauss_newton``,
+    ``edtorch.search.adam``) from ``restarts`` random policies whose parameters have the deviation
+    ``spread``, over a horizon that grows, and from the last policies.  The policy is taken that
+    does best in imagination, as in ``edtorch.search.planned.PlannedSearch``, whose settings
+    ``power``, ``squash``, ``draws``, ``inflation`` and ``substeps`` are.
     """
 
-    degree: int = 3
+    policy: PolicyFamily = MONOMIALS
+    improver: Improver = GAUSS_NEWTON
     odd: bool = False
     horizon: float | None = None
     power: float = 0.5
@@ -66,7 +61,7 @@ class GradientSearch(RandomFirst):
     def __post_init__(self) -> None:
         """Reject invalid settings."""
         super().__post_init__()
-        for name in ("degree", "starts", "restarts", "draws", "substeps"):
+        for name in ("starts", "restarts", "draws", "substeps"):
             value = getattr(self, name)
             if value < 1:
                 raise ValueError(f"{name}={value}: expected an integer >= 1")
@@ -87,8 +82,9 @@ class GradientSearch(RandomFirst):
         policy follows."""
         problem.check_constant("gradient")
         self._ticks(problem)
-        squash = Squash(problem.middle, problem.half)
-        return LiftedPolicy(_lift(problem), self._terms(problem), squash), None
+        policy = self._policy(problem)
+        self.improver.check(policy)
+        return policy, None
 
     def left(self, problem: SearchProblem, parameters: Parameters) -> Left | None:
         """See ``TrialSearch``: never."""
@@ -99,67 +95,55 @@ class GradientSearch(RandomFirst):
     ) -> Improvement:
         """See ``TrialSearch``."""
         learned = problem.learn(knowledge.transitions(problem.dt), knowledge.trial)
-        structure = problem.structures[learned.name]
         model = problem.tick_model(learned, self.substeps)
-        starts = problem.starts(seed)
-        found = self._policies(problem, model, starts[: self.starts], knowledge, seed, trial)
-        finite = [policy for policy in found if np.isfinite(policy.cost)]
-        if not finite:
-            raise NoPlan(f"none of {len(found)} policies has a finite cost")
+        policy, starts = self._policy(problem), problem.starts(seed)
+        noise = problem.noise_of(learned)
+        task = PolicyTask(
+            model=model,
+            cov=self.inflation**2 * learned.posterior.cov,
+            policy=policy,
+            cost=lambda ticks: self._cost(problem, ticks),
+            ticks=self._ticks(problem),
+            starts=starts[: self.starts],
+            seen=starts,
+            reading=noise,
+            period=problem.period,
+        )
+        generator = numpy_generator(seed, Purpose.PLAN, trial)
+        fresh = policy.random(self.restarts, self.spread, generator)
+        found = self.improver.improve(task, fresh, _stacked(knowledge, fresh))
+        candidates, tried = found.finite, len(found.cost)
+        if not len(candidates.cost):
+            raise NoPlan(f"none of {tried} policies has a finite cost")
         futures = futures_of(
             learned.posterior,
             starts,
-            problem.noise_of(learned),
+            noise,
             problem.ticks,
             self.draws,
             self.inflation,
             numpy_generator(seed, Purpose.POSTERIOR, trial),
         )
         whole = Cost(problem.rows, ramp(problem.ticks, 0.0), problem.action, self.squash)
-        imagined = [imagine_lifted(model, whole, policy, futures) for policy in finite]
+        imagined = imagine_policies(model, whole, policy, candidates.parameters, futures)
         chosen = choose(imagined, problem.judge)
-        policy = finite[chosen.place]
-        weight = torch.from_numpy(policy.weight)
+        parameters = {name: p[chosen.place] for name, p in candidates.parameters.items()}
         return Improvement(
-            {"weight": weight},
-            knowledge.with_plan(weight),
+            parameters,
+            knowledge.with_plan(parameters),
             {
                 "transitions": float(learned.count),
-                "terms": float(structure.terms.count),
+                "terms": float(model.structure.terms.count),
                 "model_error": learned.error,
-                "policies": float(len(finite)),
-                "dropped": float(len(found) - len(finite)),
-                "cost": policy.cost,
+                "policies": float(len(candidates.cost)),
+                "dropped": float(tried - len(candidates.cost)),
+                "cost": float(candidates.cost[chosen.place]),
                 "imagined": chosen.success,
                 "imagined_cost": chosen.cost,
-                "largest_weight": float(weight.abs().max()),
+                "largest_weight": max(float(p.abs().max()) for p in parameters.values()),
             },
             learned.notes,
         )
-
-    def _policies(
-        self,
-        problem: SearchProblem,
-        model: TickModel,
-        starts: Tensor,
-        knowledge: Knowledge,
-        seed: int,
-        trial: int,
-    ) -> list[Weighted]:
-        """One from each random theta, then from each of the last policies."""
-        terms, horizon = self._terms(problem), self._ticks(problem)
-        generator, start = numpy_generator(seed, Purpose.PLAN, trial), starts.numpy()
-        shape = (len(problem.half), terms.count)
-        found = []
-        for _ in range(self.restarts):
-            policy = Weighted(terms, self.spread * generator.standard_normal(shape))
-            for share in GROWTH:
-                cost = self._cost(problem, max(1, round(share * horizon)))
-                policy = descend(model, cost, policy, start)
-            found.append(policy)
-        cost = self._cost(problem, horizon)
-        warm = [Weighted(terms, weight.numpy()) for weight in knowledge.plans]
-        return found + [descend(model, cost, policy, start) for policy in warm]
 
     def _cost(self, problem: SearchProblem, ticks: int) -> Cost:
         weight = ramp(ticks, self.power)
@@ -168,16 +152,20 @@ class GradientSearch(RandomFirst):
     def _ticks(self, problem: SearchProblem) -> int:
         return ticks_of("horizon", self.horizon, problem.ticks, problem.dt, "an episode")
 
-    def _terms(self, problem: SearchProblem) -> Terms:
+    def _policy(self, problem: SearchProblem) -> BoundedPolicy:
         """Of the components that the dynamics or the reward depend on."""
-        lift = _lift(problem)
+        lift = next(iter(problem.structures.values())).lift
         acts = (problem.rows[0] != 0).any(0)
         for structure in problem.structures.values():
             acts[structure.terms.factors] = True
         last = lift.at + lift.angle
         acting = np.flatnonzero(acts[lift.at] | acts[last])
-        return Terms.of_state(lift, acting.tolist(), self.degree, odd=self.odd)
+        squash = Squash(problem.middle, problem.half)
+        return self.policy.policy(lift, acting.tolist(), squash, odd=self.odd)
 
 
-def _lift(problem: SearchProblem) -> Lift:
-    return next(iter(problem.structures.values())).lift
+def _stacked(knowledge: Knowledge, like: Parameters) -> Parameters:
+    """The last policies, ``[W, ...]``."""
+    none = {name: p[:0] for name, p in like.items()}
+    each = [{name: p.unsqueeze(0) for name, p in plan.items()} for plan in knowledge.plans]
+    return joined(none, *each)

@@ -6,12 +6,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
+from edtorch.policy.bounded import BoundedPolicy
 from edtorch.search.plan import Cost, Plan
-from edtorch.search.policy_descent import Weighted
 from edtorch.search.program import kernels
 from edtorch.search.shooting import planning_problem
+from edtorch.search.tick_costs import TickCosts
 from edtorch.search.tick_model import TickModel, real
+from edtorch.search.ticks import drawn_ticks
+from edtorch.types import Parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +70,29 @@ def imagine_knots(model: TickModel, cost: Cost, knots: Knots, futures: Futures) 
     return _imagined("imagine_knots", model, cost, given, futures, cost.ticks)
 
 
-def imagine_lifted(model: TickModel, cost: Cost, policy: Weighted, futures: Futures) -> Imagined:
-    """Roll-outs of a stationary policy linear in the lift, as ``imagine_knots``."""
-    given = (*policy.products, real(policy.weight))
-    return _imagined("imagine_lifted", model, cost, given, futures, cost.ticks)
+def imagine_policies(
+    model: TickModel,
+    cost: Cost,
+    policy: BoundedPolicy,
+    parameters: Parameters,
+    futures: Futures,
+) -> list[Imagined]:
+    """Roll-outs of C stationary policies, ``[C, ...]`` each, all of them side by side in the same
+    futures, over the horizon of ``cost``; the rest as ``imagine``."""
+    size = len(next(iter(parameters.values())))
+    state = torch.from_numpy(futures.start).unsqueeze(1).expand(-1, size, -1)
+    noise, states, raws = torch.from_numpy(futures.noise), [state], list[Tensor]()
+    with torch.no_grad():
+        for t in range(cost.ticks):
+            raws.append(policy.raw(parameters, state + noise[:, t].unsqueeze(1)))
+            state = drawn_ticks(model, futures.weight, state, policy.squash(raws[-1]))
+            states.append(state)
+        raws.append(torch.zeros_like(raws[-1]))
+        costs = TickCosts(model.structure.lift, cost)
+        value = costs(torch.stack(states), torch.stack(raws)).sum(0).numpy()
+    course, finite = torch.stack(states, dim=2).numpy(), np.isfinite(value)
+    value = np.where(finite, value, np.inf)
+    return [Imagined(course[:, c], value[:, c], finite[:, c]) for c in range(size)]
 
 
 def _imagined(

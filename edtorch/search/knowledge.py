@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from edtorch.types import Transition
+from edtorch.types import Parameters, Transition
 
 WARM = 3
 """Number of the last plans that are kept to start from."""
@@ -18,13 +18,13 @@ WARM = 3
 @dataclass(frozen=True)
 class Knowledge:
     """readings: of each trial ``[T + 1, n]``; actions ``[T, m]``, valid ``[T]``, all scaled; plans:
-    raw actions ``[H, m]`` of the last plans that were executed, or weights ``[m, F]`` of the
-    last policies, the last one first."""
+    ``raw`` actions ``[H, m]`` of the last plans that were executed, or parameters of the last
+    policies, by name, the last one first."""
 
     readings: Sequence[Tensor] = ()
     actions: Sequence[Tensor] = ()
     valid: Sequence[Tensor] = ()
-    plans: Sequence[Tensor] = ()
+    plans: Sequence[Parameters] = ()
 
     def with_trial(self, readings: Tensor, actions: Tensor, valid: Tensor) -> Knowledge:
         """One trial more."""
@@ -35,9 +35,9 @@ class Knowledge:
             valid=[*self.valid, valid],
         )
 
-    def with_plan(self, raw: Tensor) -> Knowledge:
+    def with_plan(self, plan: Parameters) -> Knowledge:
         """One plan more."""
-        return replace(self, plans=[raw, *self.plans][:WARM])
+        return replace(self, plans=[plan, *self.plans][:WARM])
 
     def transitions(self, dt: float) -> Transition:
         """The transitions of all trials; ``valid`` says which count."""

@@ -142,7 +142,7 @@ class PlannedSearch(RandomFirst):
         plan, parameters = candidates[chosen.place], carried[chosen.place].parameters
         return Improvement(
             {name: torch.from_numpy(value) for name, value in parameters.items()},
-            knowledge.with_plan(torch.from_numpy(plan.raw)),
+            knowledge.with_plan({"raw": torch.from_numpy(plan.raw)}),
             {
                 "transitions": float(learned.count),
                 "terms": float(structure.terms.count),
@@ -171,7 +171,7 @@ class PlannedSearch(RandomFirst):
         horizon, first = self._ticks(problem)
         goal, dt = problem.goal[: horizon + 1].numpy(), problem.dt
         swings = sinusoids(start, first, m, dt, self.starts, generator)
-        swings += [still(start, raw.numpy()[:first]) for raw in knowledge.plans]
+        swings += [still(start, last["raw"].numpy()[:first]) for last in knowledge.plans]
         straight: list[Plan] = []
         while len(straight) < self.straight:
             straight += lines(model.structure, start, goal[first], first, m, dt, generator)

@@ -49,7 +49,8 @@ def _entries() -> dict[str, tuple[object, ...]]:
         "noise_aware": (expansion, (0.1, 1, 0.1), three, three, two, two),
         "imagine": (model, three, cost, bounds, plan, two, three, three, one),
         "imagine_knots": (model, three, cost, bounds, knots, two, three, three, one),
-        "imagine_lifted": (model, three, cost, bounds, (*products, two), two, three, three, one),
+        "ticks": (three, three, model, three),
+        "tick_jacobians": (two, two, model, two, three),
         "policy_cost": (*problem, products, two, two),
         "policy_expansion": (*problem, products, two, two, one, two),
     }

@@ -92,28 +92,47 @@ def propagate(
     What went wrong comes back as numbers: NaN where arithmetic broke, ``first_floored`` where a
     covariance did.
     """
-    belief = start
-    means, covs, rewards = [start.mean], [start.cov], []
-    value = torch.zeros_like(start.mean[..., 0])
-    first_floored = torch.full(value.shape, -1, dtype=torch.int64, device=value.device)
-    watched = not transform.keeps_positive(noise)
-    weights = iter(horizon.weights())
-    for tau in range(horizon.steps + 1):
-        if tau > 0:
-            belief = transform.move(belief, closed_loop, noise)
-            if watched:
-                cov, began = floored(belief.cov)
-                belief = Belief(belief.mean, cov)
-                first_floored = torch.where(began & (first_floored < 0), tau, first_floored)
-            means.append(belief.mean)
-            covs.append(belief.cov)
-        if tau >= horizon.first_step:
-            gain = transform.reward(reward, belief, policy)
-            value = value + next(weights) * gain
-            rewards.append(gain)
-    return Trajectory(
-        torch.stack(means), torch.stack(covs), torch.stack(rewards), value, first_floored
+    beliefs, first_floored = course(
+        start, closed_loop, transform=transform, noise=noise, steps=horizon.steps
     )
+    weights, rewards = iter(horizon.weights()), []
+    value = torch.zeros_like(start.mean[..., 0])
+    for belief in beliefs[horizon.first_step :]:
+        gain = transform.reward(reward, belief, policy)
+        value = value + next(weights) * gain
+        rewards.append(gain)
+    return Trajectory(
+        torch.stack([belief.mean for belief in beliefs]),
+        torch.stack([belief.cov for belief in beliefs]),
+        torch.stack(rewards),
+        value,
+        first_floored,
+    )
+
+
+def course(
+    start: Belief,
+    closed_loop: StateFunction,
+    *,
+    transform: Transform,
+    noise: StateFunction,
+    steps: int,
+) -> tuple[list[Belief], Tensor]:
+    """The beliefs of steps 0..T, ``steps`` T, without a reward; and ``first_floored`` as in
+    ``Trajectory``.  Pure, as ``propagate``."""
+    beliefs = [start]
+    first_floored = torch.full(
+        start.mean.shape[:-1], -1, dtype=torch.int64, device=start.mean.device
+    )
+    watched = not transform.keeps_positive(noise)
+    for tau in range(1, steps + 1):
+        belief = transform.move(beliefs[-1], closed_loop, noise)
+        if watched:
+            cov, began = floored(belief.cov)
+            belief = Belief(belief.mean, cov)
+            first_floored = torch.where(began & (first_floored < 0), tau, first_floored)
+        beliefs.append(belief)
+    return beliefs, first_floored
 
 
 def unroll(

@@ -19,7 +19,7 @@ from edtorch.app.domain import build_sim
 from edtorch.app.random_search import build_search
 from edtorch.app.rivals import build_rival
 from edtorch.app.schema import defaults
-from edtorch.app.settings import Settings
+from edtorch.app.settings import Settings, plain
 from edtorch.inverse.policy import InversePolicy
 from edtorch.report.runs import flat
 from edtorch.rivals.random_search import search
@@ -175,6 +175,20 @@ def test_option_builds(group: str, option: str) -> None:
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
     assert training.advance(3) == 3
     assert bool(training.finite.all())
+
+
+@pytest.mark.parametrize("policy", sorted(p.stem for p in (ROOT / "search/policy").iterdir()))
+def test_every_policy_of_the_gradient_search_builds(policy: str) -> None:
+    """By the improver that takes any; what is written in the files is what is so by default."""
+    search = ("search=gradient", f"search/policy={policy}", "search/improver=adam")
+    config = _compose("experiment=pendulum_swingup", *search, "search.odd=true")
+    setup = build_planned(config)
+    assert all(len(p) == config.seeds for p in setup.initial.values())
+    for name in ("policy", "improver"):
+        node = config.search[name]
+        known = defaults({f"search.{name}._target_": node["_target_"]})
+        for key in node.keys() - {"_target_"}:
+            assert plain(node[key]) == known[f"search.{name}.{key}"]
 
 
 def test_every_option_is_known_here() -> None:

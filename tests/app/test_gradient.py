@@ -27,10 +27,42 @@ def test_gymnasiums_pendulum_is_held_up_after_seconds(tmp_path: Path) -> None:
         assert torch.equal(p, run.policies[1].parameters[name])
 
 
+CHEAP = (
+    *("search=gradient", "search/improver=adam", "search.improver.steps=6", "search.restarts=2"),
+    *("search.draws=5", "search.horizon=2", "train.episodes=1", "eval.episodes=3"),
+)
+
+
+@pytest.mark.experiment
+@pytest.mark.parametrize(
+    "policy",
+    [
+        ("search/policy=rbf", "search.policy.centres=8", "search.improver.belief=cubature"),
+        ("search/policy=mlp", "search.policy.hidden=[8]", "search.odd=true"),
+    ],
+    ids=["rbf", "mlp"],
+)
+def test_other_policies_are_saved_and_tried_again(policy: tuple[str, ...], tmp_path: Path) -> None:
+    overrides = (*CHEAP, *policy)
+    run = edtorch.learn(preset="pendulum_swingup", seeds=2, overrides=overrides, progress=False)
+    again = edtorch.load(run.save(tmp_path / "pendulum"))
+    assert again.evaluate(3) == run.evaluate(3)
+    reading = torch.tensor([3.0, 0.1])
+    for one, other in zip(run.policies, again.policies, strict=True):
+        assert torch.equal(
+            torch.as_tensor(one.predict(reading)), torch.as_tensor(other.predict(reading))
+        )
+    alone = edtorch.learn(preset="pendulum_swingup", seed=1, overrides=overrides, progress=False)
+    for name, p in alone.policies[0].parameters.items():
+        assert torch.equal(p, run.policies[1].parameters[name])
+
+
 @pytest.mark.parametrize(
     ("argument", "words"),
     [
+        ("search.policy.degree=0", "search.policy.degree=0: expected an integer >= 1"),
         ("search.degree=0", "search.degree=0: expected an integer >= 1"),
+        ("search/policy=mlp", "GaussNewton cannot improve a NetworkPolicy; expected"),
         ("search.trial=-1", "search.trial=-1.0: expected a number > 0, or null"),
         (
             "search.horizon=9",

@@ -47,6 +47,13 @@ KINDS = {
     "Gymnasium": PENDULUM,
     "planned": PLANNED,
     "stationary": (*PLANNED, "search.policy=stationary", "search.horizon=3"),
+    "gradient": (
+        *("experiment=pendulum_swingup", "seeds=2", "train.episodes=4", "eval.episodes=5"),
+        *("search=gradient", "search/policy=rbf", "search/improver=adam", "search.draws=5"),
+        *("search.policy.centres=4", "search.improver.steps=2", "search.restarts=2"),
+        *("search.improver.belief=cubature", "search.horizon=1", "fit.passes=1"),
+        *("+eval.solved.mean_return=1000", *QUIET),
+    ),
     "rival": (
         *("experiment=bicycle_adaptive_lqr", "seeds=1", "train.seconds=12", "rival.piece=2"),
         *("train.until=null", "eval.episodes=1", "domain.time_limit=10", *QUIET),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import getitem
 from typing import Any, Literal
 
 import pytest
@@ -86,6 +88,13 @@ def test_settings_of_a_default_object_change_it() -> None:
     assert domain.integrate["_partial_"] is True
 
 
+def test_settings_of_another_object_are_its_own() -> None:
+    """A part of another class than the default's has none of the default's settings."""
+    policy = compose(["experiment=gym_pendulum", "search/policy=mlp", "search/improver=adam"])
+    assert policy.search.policy.keys() == {"_target_", "hidden"}
+    assert policy.search.improver.belief is None
+
+
 def test_what_no_file_lists_needs_no_plus() -> None:
     for sign in ("", "+", "++"):
         weights = compose([f"{sign}reward.state.lean_rate=3", f"{sign}domain.state_scale.lean=2"])
@@ -96,27 +105,29 @@ def test_what_no_file_lists_needs_no_plus() -> None:
 WITH_RIVALS = {
     "rival.fall_cost": "experiment=bicycle_pegasus",
     "rival.fall_penalty": "experiment=bicycle_sac",
+    "search.degree": "experiment=gym_pendulum",
 }
 
 
 @pytest.mark.parametrize(("old", "new"), RENAMED_KEYS.items())
 def test_former_names(old: str, new: str) -> None:
     experiment = WITH_RIVALS.get(old, "experiment=bicycle")
-    wanted = compose([experiment, f"{new}=3"])
-    group, _, key = new.partition(".")
-    assert wanted[group][key] == 3
-    assert compose([experiment, f"{old}=3"]) == wanted == compose([experiment, f"+{old}=3"])
+    wanted: Any = compose([experiment, f"{new}=5"])
+    assert reduce(getitem, new.split("."), wanted) == 5
+    assert compose([experiment, f"{old}=5"]) == wanted == compose([experiment, f"+{old}=5"])
 
 
 def test_former_names_in_a_saved_configuration() -> None:
     saved = {
         "noise": {"_target_": "x", "exploration": 0.1, "rate": 2.0},
         "train": {"seconds": 3.0, "rides": 1},
+        "search": {"_target_": "y", "degree": 2},
     }
     assert current_keys(saved) == {
         "noise": {"_target_": "x", "rate": 2.0},
         "exploration": {"deviation": 0.1},
         "train": {"seconds": 3.0, "successes": 1},
+        "search": {"_target_": "y", "policy": {"degree": 2}},
     }
     assert "exploration" in saved["noise"]
 

@@ -16,7 +16,7 @@ def _knowledge() -> Knowledge:
             normal(g, ticks + 1, 3), normal(g, ticks, 1), torch.arange(ticks) != 1
         )
     for _ in range(WARM + 1):
-        known = known.with_plan(normal(g, 5, 1))
+        known = known.with_plan({"raw": normal(g, 5, 1)})
     return known
 
 
@@ -31,16 +31,18 @@ def test_transitions_do_not_cross_from_trial_to_trial() -> None:
 
 def test_the_last_plans_are_kept_the_last_one_first() -> None:
     known = _knowledge()
-    again = known.with_plan(torch.zeros(5, 1))
+    again = known.with_plan({"raw": torch.zeros(5, 1)})
     assert len(again.plans) == WARM
-    assert torch.equal(again.plans[0], torch.zeros(5, 1))
-    assert torch.equal(again.plans[1], known.plans[0])
+    assert torch.equal(again.plans[0]["raw"], torch.zeros(5, 1))
+    assert torch.equal(again.plans[1]["raw"], known.plans[0]["raw"])
 
 
 def test_it_survives_a_checkpoint(tmp_path) -> None:
     known, path = _knowledge(), tmp_path / "state.safetensors"
     save_state(path, {"known": known.state()})
     again = Knowledge.of_state(load_state(path)["known"])
-    for name in ("readings", "actions", "valid", "plans"):
+    for name in ("readings", "actions", "valid"):
         pairs = zip(getattr(known, name), getattr(again, name), strict=True)
         assert all(torch.equal(a, b) for a, b in pairs)
+    for one, other in zip(known.plans, again.plans, strict=True):
+        assert torch.equal(one["raw"], other["raw"]) and one.keys() == other.keys()

@@ -12,7 +12,7 @@ from edtorch.model.mechanism import runge_kutta
 from edtorch.model.terms import Terms
 from edtorch.policy.lifted import LiftedPolicy
 from edtorch.policy.squash import Squash
-from edtorch.search.imagination import Futures, imagine_lifted
+from edtorch.search.imagination import Futures, imagine_policies
 from edtorch.search.plan import Cost, ramp
 from edtorch.search.policy_descent import PolicyDescent, Weighted, descend, expansion
 from edtorch.search.tick_model import TickModel
@@ -110,10 +110,10 @@ def test_what_is_imagined_is_what_the_policy_does() -> None:
         start=_starts(3),
         noise=0.01 * generator.standard_normal((3, 20, 4)),
     )
-    imagined = imagine_lifted(model, cost, policy, futures)
     squash = Squash(torch.zeros(1).double(), torch.ones(1).double())
     actor = LiftedPolicy(model.structure.lift, policy.terms, squash)
     theta = {"weight": torch.from_numpy(policy.weight)[None]}
+    (imagined,) = imagine_policies(model, cost, actor, theta, futures)
     for p in range(3):
         state = futures.start[p]
         for t in range(20):
@@ -122,7 +122,7 @@ def test_what_is_imagined_is_what_the_policy_does() -> None:
             action = actor.action(theta, reading[None])[0].numpy()
             state, _ = tick_once(model, futures.weight[p], state, action)
     still = Futures(np.tile(model.weight, (3, 1, 1)), futures.start, np.zeros((3, 20, 4)))
-    mean = imagine_lifted(model, cost, policy, still).cost.mean()
+    mean = imagine_policies(model, cost, actor, theta, still)[0].cost.mean()
     assert expansion(model, cost, policy, futures.start)[0] == pytest.approx(mean, rel=1e-12)
 
 

@@ -150,28 +150,3 @@ def policy_expansion(model, weight, cost, bounds, policy, theta, start, gradient
             hessian[p, q] /= len(start)
             hessian[q, p] = hessian[p, q]
     return total / len(start)
-
-
-@outer
-def imagine_lifted(model, weight, cost, bounds, lifted, start, noise, state, value):
-    """Of such a policy: tuple (parent, factor, node, theta).  Arguments as of ``imagine``."""
-    policy, theta = lifted[:3], lifted[3]
-    n, m = start.shape[1], len(theta)
-    room, x = room_for(n, m, model), np.zeros(n + m)
-    entry, product = np.zeros(len(room[0])), np.zeros(len(policy[0]))
-    raw, none = np.zeros(m), np.zeros(m)
-    for p in range(len(start)):
-        for i in range(n):
-            state[p, 0, i] = start[p, i]
-        value[p] = 0.0
-        for t in range(noise.shape[1]):
-            for i in range(n):
-                x[i] = state[p, t, i] + noise[p, t, i]
-            policy_raw(x, model, policy, theta, entry, product, raw)
-            value[p] += imagined_tick(
-                t, raw, none, x, weight[p], model, cost, bounds, room, state[p]
-            )
-            if not math.isfinite(value[p]):
-                value[p] = np.inf
-                state[p, t + 1 :] = np.nan
-                break

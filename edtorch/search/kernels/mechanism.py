@@ -212,3 +212,22 @@ def tick_jacobian(x, weight, model, room, after, by):
             after[i] += h / 6 * total[i]
             for q in range(width):
                 by[i, q] = start[i, q] + h / 6 * sums[i, q]
+
+
+@outer
+def ticks(x, weight, model, after):
+    """``tick`` of rows x [P, R, n + m], each P with a weight of its own [P, L, K]."""
+    n = after.shape[2]
+    room = room_for(n, x.shape[2] - n, model)
+    for p in range(len(x)):
+        for r in range(x.shape[1]):
+            tick(x[p, r], weight[p], model, room, after[p, r])
+
+
+@outer
+def tick_jacobians(x, weight, model, after, by):
+    """``tick_jacobian`` of rows x [R, n + m], all with the same weight."""
+    n = after.shape[1]
+    room = room_for(n, x.shape[1] - n, model)
+    for r in range(len(x)):
+        tick_jacobian(x[r], weight, model, room, after[r], by[r])
