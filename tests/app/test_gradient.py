@@ -71,7 +71,7 @@ def test_other_policies_are_saved_and_tried_again(policy: tuple[str, ...], tmp_p
         ("search.spread=-1", "search.spread=-1.0: expected a number >= 0"),
         (
             "reward.rows=[{rate: 1, reference: [1, 2]}]",
-            "gradient: expected a reward without a reference, which search=planned follows",
+            "gradient: expected a reward without a reference, which search=planned with",
         ),
     ],
 )
