@@ -11,7 +11,7 @@ from torch import Tensor
 
 from edtorch.policy.bounded import BoundedPolicy
 from edtorch.search.belief import ExpectedCost, Gaussians, gaussians, points
-from edtorch.search.improver import Improved, PolicyTask, joined
+from edtorch.search.improver import Improved, PolicyTask, side_by_side
 from edtorch.transform import Cubature, FirstOrder, MeanOnly, Transform
 from edtorch.types import Parameters
 
@@ -66,7 +66,7 @@ class Adam:
         ]
         for cost in first:
             parameters = adam(cost, parameters, self.steps, self.rate).parameters
-        return adam(last, joined(parameters, warm), self.steps, self.rate)
+        return adam(last, side_by_side(parameters, warm), self.steps, self.rate)
 
     def _starts(self, task: PolicyTask) -> Gaussians:
         if self.belief is None:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from edtorch.policy.bounded import BoundedPolicy
-from edtorch.search.improver import Improved, PolicyTask, joined
+from edtorch.search.improver import Improved, PolicyTask, side_by_side
 from edtorch.search.policy_descent import Weighted, descend
 from edtorch.types import Parameters
 
@@ -31,7 +31,9 @@ class GaussNewton:
         assert terms is not None
         start, found = task.starts.numpy(), list[Weighted]()
         horizons = [task.growing] * len(fresh["weight"]) + [[task.ticks]] * len(warm["weight"])
-        for weight, ticks in zip(joined(fresh, warm)["weight"].numpy(), horizons, strict=True):
+        for weight, ticks in zip(
+            side_by_side(fresh, warm)["weight"].numpy(), horizons, strict=True
+        ):
             policy = Weighted(terms, weight)
             for each in ticks:
                 policy = descend(task.model, task.cost(each), policy, start)

@@ -15,7 +15,7 @@ from edtorch.search.choice import choose, futures_of
 from edtorch.search.families import MONOMIALS, PolicyFamily
 from edtorch.search.gauss_newton import GAUSS_NEWTON
 from edtorch.search.imagination import imagine_policies
-from edtorch.search.improver import Improver, PolicyTask, joined
+from edtorch.search.improver import Improver, PolicyTask, side_by_side
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.plan import Cost, ramp
 from edtorch.search.problem import Improvement, Left, SearchProblem, ticks_of
@@ -168,4 +168,4 @@ def _stacked(knowledge: Knowledge, like: Parameters) -> Parameters:
     """The last policies, ``[W, ...]``."""
     none = {name: p[:0] for name, p in like.items()}
     each = [{name: p.unsqueeze(0) for name, p in plan.items()} for plan in knowledge.plans]
-    return joined(none, *each)
+    return side_by_side(none, *each)

@@ -74,6 +74,6 @@ class Improver(Protocol):
         ...
 
 
-def joined(*parts: Parameters) -> Parameters:
+def side_by_side(*parts: Parameters) -> Parameters:
     """``[R, ...]`` and ``[W, ...]`` as ``[R + W, ...]``."""
     return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
