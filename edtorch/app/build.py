@@ -25,6 +25,7 @@ from edtorch.app.observation import check_unobserved
 from edtorch.app.policy import policy_card
 from edtorch.app.reward import build_reward
 from edtorch.app.settings import Settings
+from edtorch.app.solved import build_solved_rate
 from edtorch.learner.learner import AnyLearner
 from edtorch.learner.schedule import Schedule
 from edtorch.run.episodes import Budget
@@ -57,7 +58,7 @@ def _check(config: Settings) -> None:
     """Refuse keys and numbers that are wrong whatever is built of them."""
     check_numbers(config)
     check_seeds(config)
-    at_least("eval.episodes", config.eval.episodes, 0)
+    at_least("eval.episodes", config.eval.episodes, int(build_solved_rate(config).asked))
     at_least("eval.keep", config.eval.keep, 0)
     for place, minutes in enumerate(config.eval.minutes):
         positive(f"eval.minutes[{place}]", minutes)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from edtorch.app.budget import check_ticks, given_budget
-from edtorch.app.checks import at_least, check_numbers, check_seeds, positive
+from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compute import device_of, evaluation_mode
 from edtorch.app.construct import construct
 from edtorch.app.domain import build_sim, changed_domain
@@ -20,6 +20,7 @@ from edtorch.app.observation import build_deviations
 from edtorch.app.policy import policy_card
 from edtorch.app.reward import build_reward
 from edtorch.app.settings import Settings
+from edtorch.app.solved import Solved, build_solved
 from edtorch.compiled import numba
 from edtorch.errors import Unavailable
 from edtorch.model.told import Told
@@ -37,26 +38,6 @@ from sims.base import JudgesStates
 
 STARTS_SEEN = 100
 """Starts that are looked at, to plan from their mean and to imagine from them."""
-
-
-@dataclass(frozen=True)
-class Solved:
-    """When a task counts as solved: a success rate of at least ``rate`` and a mean return of at
-    least ``mean_return``, in fresh episodes; None: not required."""
-
-    rate: float | None
-    mean_return: float | None
-    episodes: int
-
-    @property
-    def asked(self) -> bool:
-        """Whether there is a criterion."""
-        return self.rate is not None or self.mean_return is not None
-
-    def holds(self, rate: float, mean_return: float) -> bool:
-        """Whether these figures meet it."""
-        good = self.rate is None or rate >= self.rate
-        return self.asked and good and (self.mean_return is None or mean_return >= self.mean_return)
 
 
 @dataclass(frozen=True)
@@ -196,7 +177,7 @@ def build_planned(config: Settings) -> PlannedSetup:
         calm=lambda: world_of(build_sim(evaluated)),
         seeds=seeds,
         budget=budget,
-        solved=_solved(config),
+        solved=build_solved(config),
         ticks=world.limit_ticks,
         trials=budget.episodes,
         initial=actor.initial(seeds),
@@ -232,18 +213,3 @@ def _check(config: Settings) -> None:
         )
     if config.log.transitions:
         raise ConfigError("log.transitions=true: expected false with a search between trials")
-
-
-def _solved(config: Settings) -> Solved:
-    asked = dict(config.eval.solved)
-    rate, mean_return = asked.pop("rate", None), asked.pop("mean_return", None)
-    for name, value in asked.items():
-        raise ConfigError(f"eval.solved.{name}={value}: expected rate or mean_return")
-    for name, value in (("rate", rate), ("mean_return", mean_return)):
-        if isinstance(value, bool) or not isinstance(value, int | float | None):
-            raise ConfigError(f"eval.solved.{name}={value}: expected a number, or null")
-    if rate is not None:
-        positive("eval.solved.rate", rate)
-        if rate > 1:
-            raise ConfigError(f"eval.solved.rate={rate}: expected a share, at most 1")
-    return Solved(rate, mean_return, config.eval.episodes)

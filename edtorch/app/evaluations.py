@@ -13,7 +13,8 @@ from edtorch.app.best import Kept, better
 from edtorch.app.build import Setup
 from edtorch.app.compute import evaluation_mode
 from edtorch.app.settings import Settings
-from edtorch.app.trials import Paid, Trials
+from edtorch.app.solved import build_solved_rate, checkpoint_solved
+from edtorch.app.trials import SCREENING, Paid, Trials
 from edtorch.native.evaluation import Mode, evaluate_policies
 from edtorch.report.domain import Domain
 from edtorch.report.legacy import MINUTES
@@ -23,6 +24,7 @@ from edtorch.report.statistics import Spread, evaluation_figures
 from edtorch.report.text import number
 from edtorch.run.episodes import Episode, nested_of, nested_state
 from edtorch.run.milestones import MILESTONES
+from edtorch.run.random import Purpose
 from edtorch.types import LearnerState, Parameters
 
 
@@ -93,8 +95,10 @@ class Evaluations:
     evaluation is reported; elsewhere as ``Trials`` does, and only what has learned since its last
     trial and has not been at every milestone yet.
 
+    Whether a task is solved (``eval.solved``) is judged then and at the end, in other episodes.
+
     done: the evaluations in full; kept: with ``eval.keep``, the best policies so far, judged by as
-    many further episodes; trials: None without ``eval.minutes``.
+    many further episodes; trials: None without ``eval.minutes`` and ``eval.solved``.
     """
 
     def __init__(self, setup: Setup, config: Settings, domain: Domain) -> None:
@@ -104,6 +108,7 @@ class Evaluations:
         self._judged: int = config.eval.keep
         minutes = config.eval.minutes if self._episodes else []
         self._due = sorted({max(1, round(60 * m / setup.world.dt)) for m in minutes})
+        self._solved = solved = build_solved_rate(config)
         self._in_full = bool(setup.world.spec.goal) or self._judged > 0
         self.domain = domain
         self.done: list[Evaluation] = []
@@ -111,8 +116,10 @@ class Evaluations:
         size = len(setup.seeds)
         self._parameters: Parameters = {}
         self._among: Sequence[Episode] = ()
-        measures = self.domain.measures
-        self.trials = Trials(size, self._episodes, self._fresh, measures) if self._due else None
+        screening = self._episodes if solved.asked else SCREENING
+        parts = (size, self._episodes, self._tried, self.domain.measures)
+        tried = bool(self._due) or solved.asked
+        self.trials = Trials(*parts, screening=screening) if tried else None
         self._clock = -1
         self.cpu_s = 0.0
         self._began = time.process_time()
@@ -191,8 +198,12 @@ class Evaluations:
                 judged = [own[count:] for own in found]
                 self.kept = better(self.kept, self._parameters, minutes, judged, episodes)
         if self.trials is not None:
-            for row in self._changed():
-                self.trials.record(row, episodes[row], self._paid(training, row))
+            rows = self._changed()
+            if self._solved.asked:
+                self.trials.run(rows, lambda row: self._paid(training, row))
+            else:
+                for row in rows:
+                    self.trials.record(row, episodes[row], self._paid(training, row))
             self._tried_at = list(self._ticks)
         self._clock = training.clock
         self.done.append(Evaluation(minutes, episodes))
@@ -225,7 +236,14 @@ class Evaluations:
         self.cpu_s += time.process_time() - cpu
         return figures, told
 
-    def _fresh(self, rows: Sequence[int], count: int) -> list[list[Episode]]:
+    def _tried(self, rows: Sequence[int], count: int) -> list[list[Episode]]:
+        """For the trials: what decides whether a task is solved does not report how well."""
+        purpose = Purpose.SOLVED if self._solved.asked else Purpose.EVALUATION
+        return self._fresh(rows, count, purpose)
+
+    def _fresh(
+        self, rows: Sequence[int], count: int, purpose: Purpose = Purpose.EVALUATION
+    ) -> list[list[Episode]]:
         picked = {name: p[list(rows)] for name, p in self._parameters.items()}
         seeds = [self._setup.seeds[row] for row in rows]
         # A world of its own: one that wraps a simulator is still in its last episode.
@@ -239,6 +257,7 @@ class Evaluations:
             native=self._native,
             observer=learner.observer,
             among=self._among,
+            purpose=purpose,
         )
 
     def _look_at(self, training: Learned) -> None:
@@ -289,12 +308,13 @@ class Evaluations:
         return figures | self._milestones()
 
     def _milestones(self) -> dict[str, Any]:
-        if self.trials is None:
+        if self.trials is None or not all(self.trials.history):
             return {}
         history = self.trials.history
         return {
             "milestones": milestone_figures(history, self._setup.seeds, self.domain),
             "checkpoints": checkpoint_figures(history, self.domain),
+            **checkpoint_solved(history, self._solved, self._setup.seeds),
         }
 
     def to_save(self, training: Learned) -> Parameters:

@@ -15,7 +15,7 @@ from edtorch.app.limit import build_command, build_exploration, check_start, nee
 from edtorch.app.model import build_fit, build_model, build_noise
 from edtorch.app.observation import build_observer
 from edtorch.app.policy import build_policy
-from edtorch.app.reward import build_reward, held, is_named
+from edtorch.app.reward import build_reward, held, is_named, refuse_timed
 from edtorch.app.settings import Settings
 from edtorch.inverse.forward import tracking
 from edtorch.learner.estimator import AnyFit
@@ -110,11 +110,7 @@ def build_forward(config: Settings, world: World) -> Forward:
     model = _moved(build_model(config.model, world, dtype, config.seed), device)
     policy = _moved(build_policy(config.policy, sim, dtype, config.seed), device)
     reward = build_reward(config.reward, sim, dtype, device)
-    if getattr(reward, "timed", False):
-        raise ConfigError(
-            "reward: expected none with a reference, whose value depends on the time of an episode;"
-            " search=planned follows one"
-        )
+    refuse_timed(reward)
     transform = construct(
         "transform",
         config.transform,

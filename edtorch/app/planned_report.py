@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from edtorch.app.planned_progress import SeedProgress
-from edtorch.report.experience import median_seconds
+from edtorch.app.solved import shown, to_solved
 from edtorch.run.episodes import Episode
 from edtorch.run.log import Entry, median_known
 
@@ -92,12 +92,12 @@ def solved_figures(progress: Sequence[SeedProgress], seeds: Sequence[int]) -> di
     """For ``summary.json``: what it took to solve the task, an unsolved seed counting as
     infinity."""
     return {
-        "seconds_to_solved": _to_solved([each.solved for each in progress]),
-        "trials_to_solved": _to_solved([each.solved_trials for each in progress]),
+        "seconds_to_solved": to_solved([each.solved for each in progress]),
+        "trials_to_solved": to_solved([each.solved_trials for each in progress]),
         "never_solved": [
             seed for seed, each in zip(seeds, progress, strict=True) if each.solved is None
         ],
-        "success_rate_after_trial": [[_shown(rate) for rate in each.rates] for each in progress],
+        "success_rate_after_trial": [[shown(rate) for rate in each.rates] for each in progress],
         "seconds_after_trial": [each.seconds_after for each in progress],
         "cpu_s_of_trial": [each.cpu_s for each in progress],
         "simulated_seconds": [each.seconds for each in progress],
@@ -110,19 +110,3 @@ def solved_words(summary: Mapping[str, Any]) -> str:
     median = summary["seconds_to_solved"]["median"]
     middle = "never" if median is None else f"{median:g} s"
     return f"solved: {size - never} of {size} seeds; median {middle}"
-
-
-def _to_solved(values: Sequence[float | None]) -> dict[str, Any]:
-    """Median and extremes with unsolved seeds as infinity, which is null."""
-    numbers = [math.inf if value is None else float(value) for value in values]
-    return {
-        "per_seed": [_shown(value) for value in numbers],
-        "median": _shown(median_seconds(numbers)),
-        "min": _shown(min(numbers)),
-        "max": _shown(max(numbers)),
-    }
-
-
-def _shown(value: float) -> float | None:
-    """In a file: null for what is not finite, or not known as no episode counts as a success."""
-    return value if math.isfinite(value) else None

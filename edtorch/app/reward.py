@@ -54,6 +54,15 @@ def build_plain_reward(config: Any, sim: Sim, dtype: torch.dtype) -> QuadraticRe
     return cast(QuadraticReward, reward)
 
 
+def refuse_timed(reward: Reward) -> None:
+    """ConfigError for a reward that depends on the time of an episode, for all but planners."""
+    if getattr(reward, "timed", False):
+        raise ConfigError(
+            "reward: expected none with a reference, whose value depends on the time of an episode;"
+            " search=planned follows one"
+        )
+
+
 def is_named(config: Any) -> bool:
     """Whether the reward is the quadratic one, given by names of components."""
     return not is_given(config) and config.get("_target_") in (None, QUADRATIC)

@@ -26,10 +26,11 @@ from edtorch.app.inverse import has_inverse
 from edtorch.app.job import Job, Work
 from edtorch.app.limit import variant
 from edtorch.app.policy import build_linear_policy
-from edtorch.app.reward import build_plain_reward
+from edtorch.app.reward import build_plain_reward, build_reward, refuse_timed
 from edtorch.app.settings import Settings
+from edtorch.app.solved import Solved, build_solved_rate, checkpoint_solved, first_solved
 from edtorch.app.summary import result_figures, summary_table
-from edtorch.app.trials import Paid, Trials
+from edtorch.app.trials import SCREENING, Paid, Trials
 from edtorch.policy.policies import LinearPolicy
 from edtorch.report.milestones import checkpoint_figures, milestone_figures
 from edtorch.report.statistics import Spread, aliases
@@ -41,6 +42,7 @@ from edtorch.run.evaluation import evaluate
 from edtorch.run.log import Entry, median_known
 from edtorch.run.milestones import MILESTONES, Checkpoint, FirstSuccess
 from edtorch.run.policy_file import PolicyCard
+from edtorch.run.random import Purpose
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
 from sims.base import Sim, Spec, Words
@@ -51,7 +53,7 @@ logger = logging.getLogger("edtorch")
 @dataclass(frozen=True)
 class RivalSetup:
     """Everything that a rival's run is made of; calm: a new world to try policies in; until: the
-    milestone at which a seed is done, None: none."""
+    milestone at which a seed is done, None: none; solved: when it is done as well."""
 
     name: str
     rival: Rival
@@ -59,6 +61,7 @@ class RivalSetup:
     calm: Callable[[], World]
     budget: Budget
     until: str | None
+    solved: Solved
     episodes: int
 
     @property
@@ -83,7 +86,10 @@ def build_rival(config: Settings) -> RivalSetup:
     sim = build_sim(config.domain)
     check_ticks(budget, sim.spec.dt)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
-    reward, threshold = build_plain_reward(config.reward, sim, dtype), config.eval.success_return
+    rival = construct("rival", config.rival, "begin")
+    built = build_reward if getattr(rival, "takes_any_reward", False) else build_plain_reward
+    reward, threshold = built(config.reward, sim, dtype), config.eval.success_return
+    refuse_timed(reward)
 
     def world_of(sim: Sim) -> World:
         return World(sim, dtype, None, config.observation.unwrap, reward, threshold)
@@ -100,9 +106,9 @@ def build_rival(config: Settings) -> RivalSetup:
         seeds=range(config.seed, config.seed + config.seeds),
         native=config.compute.native,
     )
-    rival = construct("rival", config.rival, "begin")
     name = str(config.rival._target_).rsplit(".", 1)[-1]
-    return RivalSetup(name, rival, problem, calm, budget, until, config.eval.episodes)
+    solved = build_solved_rate(config)
+    return RivalSetup(name, rival, problem, calm, budget, until, solved, config.eval.episodes)
 
 
 def _refuse_parts_of_learners(config: Settings) -> None:
@@ -124,10 +130,14 @@ def _refuse_parts_of_learners(config: Settings) -> None:
 
 
 class _Fresh:
-    """Evaluates the current policies; those linear in features by ``fresh_episodes``."""
+    """Evaluates the current policies; those linear in features by ``fresh_episodes``.
 
-    def __init__(self, setup: RivalSetup, search: Search) -> None:
+    purpose: of the random numbers elsewhere; other than EVALUATION: always of these.
+    """
+
+    def __init__(self, setup: RivalSetup, search: Search, purpose: Purpose) -> None:
         self._setup = setup
+        self._purpose = purpose
         self._search = search
         self.pause: Callable[[], None] = lambda: None
         """As of ``Search.advance``."""
@@ -139,8 +149,9 @@ class _Fresh:
         seeds = [self._setup.seeds[row] for row in rows]
         actor, calm = self._search.actor, self._setup.calm()
         linear = getattr(actor, "linear_in_features", False)
+        linear &= self._purpose is Purpose.EVALUATION
         if not (linear and set(picked) == {"weight"} and can_try(calm)):
-            return evaluate(actor, picked, calm, seeds, count)
+            return evaluate(actor, picked, calm, seeds, count, purpose=self._purpose)
         if self._runs is None:
             self._runs = evaluator(
                 calm, cast(LinearPolicy, actor), native=self._setup.problem.native
@@ -149,6 +160,8 @@ class _Fresh:
 
 
 def _arrived(setup: RivalSetup, history: Sequence[Checkpoint]) -> bool:
+    if first_solved(history, setup.solved):
+        return True
     if setup.until is None or not history:
         return False
     return bool(getattr(history[-1], MILESTONES[setup.until]))
@@ -193,8 +206,15 @@ class Rivals(Work):
         self._cpu_s = [begun_s / len(setup.seeds)] * len(setup.seeds)
         self._pieces = 0
         self._domain = described(setup.calm())
-        self._fresh = _Fresh(setup, self._search)
-        self._trials = Trials(len(setup.seeds), setup.episodes, self._fresh, self._domain.measures)
+        asked = setup.solved.asked
+        # What decides whether a task is solved does not report how well.
+        purpose = Purpose.SOLVED if asked else Purpose.EVALUATION
+        self._fresh = _Fresh(setup, self._search, purpose)
+        self._trials = Trials(
+            *(len(setup.seeds), setup.episodes, self._fresh, self._domain.measures),
+            screening=setup.episodes if asked else SCREENING,
+        )
+        self._others: list[list[Episode]] = []
         spec, words = setup.problem.world.spec, self._domain.words
         self.title = f"{spec.name}, {setup.name}, {len(setup.seeds)} seeds"
         self.seeds, self.budget, self.world = setup.seeds, setup.budget, setup.calm
@@ -328,12 +348,20 @@ class Rivals(Work):
         return "  ".join(told) or f"episodes {episodes:.0f}"
 
     def evaluate(self, job: Job) -> None:
-        """All fresh episodes of the last policies."""
-        self._trials.complete()
+        """All fresh episodes of the last policies; others than those that decided whether they
+        have solved their task."""
+        setup = self._setup
+        if setup.solved.asked:
+            fresh = _Fresh(setup, self._search, Purpose.EVALUATION)
+            fresh.pause = job.pause
+            self._others = fresh(range(len(setup.seeds)), setup.episodes)
+        else:
+            self._trials.complete()
 
     def summary(self) -> dict[str, Any]:
         """A learner's, with ``milestones`` and ``checkpoints``."""
-        fresh, history, accounts = self._trials.last, self._trials.history, self._search.accounts
+        fresh, history = self._others or self._trials.last, self._trials.history
+        accounts = self._search.accounts
         domain = described(self.world(), measured(fresh))
         first: list[FirstSuccess] = []
         paid: dict[str, Any] = {}
@@ -353,6 +381,7 @@ class Rivals(Work):
             "rival": self._setup.name,
             **result_figures(domain, self.seeds, fresh, [], first),
             **paid,
+            **checkpoint_solved(history, self._setup.solved, self.seeds),
             "simulated_seconds": self._lived,
             "cpu_s": math.fsum(self._cpu_s),
         }

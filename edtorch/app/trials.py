@@ -40,14 +40,20 @@ def _stable(episodes: Sequence[Episode]) -> bool:
 class Trials:
     """Evaluation episodes of the current policies, and the results of earlier ones.
 
-    episodes: of each trial; history: the checkpoints of each row, in order; last: the episodes of
-    its last one, only ``SCREENING`` of them where one failed.
+    episodes: of each trial; screening: see ``SCREENING``; history: the checkpoints of each row, in
+    order; last: the episodes of its last one, only ``screening`` of them where one failed.
     """
 
     def __init__(
-        self, rows: int, episodes: int, fresh: Fresh, measures: Sequence[Measure] = ()
+        self,
+        rows: int,
+        episodes: int,
+        fresh: Fresh,
+        measures: Sequence[Measure] = (),
+        *,
+        screening: int = SCREENING,
     ) -> None:
-        self._most = episodes
+        self._most, self._screening = episodes, screening
         self._measures = measures
         self._fresh = fresh
         self.history: list[list[Checkpoint]] = [[] for _ in range(rows)]
@@ -75,8 +81,8 @@ class Trials:
         # One that was stable the last time most likely still is, and one full-length episode takes
         # as long as many side by side.
         stable = {row for row in rows if self.history[row] and self.history[row][-1].stable}
-        self._episodes([row for row in rows if row not in stable], min(SCREENING, self._most))
-        if self._most > SCREENING:
+        self._episodes([row for row in rows if row not in stable], min(self._screening, self._most))
+        if self._most > self._screening:
             stable |= {row for row in rows if row not in stable and _stable(self.last[row])}
         self._episodes([row for row in rows if row in stable], self._most)
         return {row: self.record(row, self.last[row], paid(row)) for row in rows}

@@ -66,7 +66,7 @@ class AdaptiveLqr:
     def begin(self, problem: Problem) -> AdaptiveLqrSearch:
         """Every seed without knowledge.  Raises ValueError for a reward or policy that Riccati's
         equation is not for."""
-        check_regulated(problem.policy, problem.reward)
+        check_regulated(problem.policy, problem.weights)
         return AdaptiveLqrSearch(self, problem)
 
 
@@ -129,7 +129,7 @@ class AdaptiveLqrSearch(LinearSearch):
         n, m = len(world.spec.state), len(world.spec.action)
         super().__init__(problem)
         model = DerivativeModel(n, m, Identity(n + m), period=world.period)
-        reward = problem.reward
+        reward = problem.weights
         costs = (reward.state_cost.to(torch.float64), reward.action_cost.to(torch.float64))
         source = _Regulating(settings, world, model, settings.fit(), costs)
         self._streams = learning_streams(world, problem.seeds)

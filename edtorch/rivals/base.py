@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 from torch import Tensor
 
 from edtorch.learner.learner import Actor
 from edtorch.native.choice import Mode
 from edtorch.policy.policies import LinearPolicy
-from edtorch.rewards import QuadraticReward
+from edtorch.rewards import QuadraticReward, Reward
 from edtorch.rivals.ledger import Account
 from edtorch.run.scaled_sim import World
 from edtorch.types import Parameters
@@ -26,17 +26,22 @@ from edtorch.types import Parameters
 class Problem:
     """The problem that a rival solves.
 
-    world: the sim in scaled units, for any number of episodes at a time; policy: the
-    configured linear policy, a template for rivals that search linear policies; reward: the
-    shaping reward, scaled; seeds: one search each, which depends on its seed alone;
-    native: whether kernels are used.
+    world: the sim in scaled units, for any number of episodes at a time; policy: the configured
+    linear policy, a template for rivals that search linear policies; reward: the shaping reward,
+    scaled, weights of squares alone unless the rival ``takes_any_reward``; seeds: one search each,
+    which depends on its seed alone; native: whether kernels are used.
     """
 
     world: World
     policy: LinearPolicy
-    reward: QuadraticReward
+    reward: Reward
     seeds: Sequence[int]
     native: Mode
+
+    @property
+    def weights(self) -> QuadraticReward:
+        """The reward of a rival that does not take any."""
+        return cast(QuadraticReward, self.reward)
 
 
 @runtime_checkable
@@ -142,7 +147,7 @@ class Storing(Protocol):
 
 
 class Rival(Protocol):
-    """The settings of a rival."""
+    """The settings of a rival; ``takes_any_reward = True`` if it does, and not weights alone."""
 
     def begin(self, problem: Problem) -> Search:
         """Raises ValueError, which names the setting, for an unsuitable problem."""

@@ -33,9 +33,9 @@ class Lqr:
     def begin(self, problem: Problem) -> LqrSearch:
         """Raises ValueError for a reward or policy that Riccati's equation is not for, or a sim
         that cannot be differentiated or stabilised."""
-        check_regulated(problem.policy, problem.reward)
+        check_regulated(problem.policy, problem.weights)
         F, G = linearised(problem.world)
-        Q, R = (c.to(F) for c in (problem.reward.state_cost, problem.reward.action_cost))
+        Q, R = (c.to(F) for c in (problem.weights.state_cost, problem.weights.action_cost))
         try:
             theta, _ = stationary_lqr(F, G, Q, R)
         except NotConverged as error:

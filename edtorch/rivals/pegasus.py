@@ -83,7 +83,7 @@ class PegasusSearch(LinearSearch):
             problem.world,
             problem.policy,
             native=problem.native,
-            accumulator=Return(SparseReward(problem.reward), settings.discount, problem.world.dt),
+            accumulator=Return(SparseReward(problem.weights), settings.discount, problem.world.dt),
             limit=self._limit,
         )
         scenario = torch.arange(settings.scenarios)

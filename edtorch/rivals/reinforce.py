@@ -135,7 +135,7 @@ class ReinforceSearch(LinearSearch):
         self._settings, self._world = settings, world
         self._limit = min(round(settings.horizon / world.dt), world.limit_ticks)
         self._accumulator = LikelihoodRatio(
-            SparseReward(problem.reward),
+            SparseReward(problem.weights),
             policy.features,
             len(world.spec.state),
             policy.weight.shape[0],

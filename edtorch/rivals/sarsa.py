@@ -422,7 +422,7 @@ class SarsaSearch(AccountedSearch):
         lasts = world.rule.survival is not False
         self._successes = {Outcome.SUCCEEDED, *([Outcome.TIMED_OUT] if lasts else [])}
         with torch.inference_mode():
-            self._tick = _Tick(settings, world, problem.reward, seeds)
+            self._tick = _Tick(settings, world, problem.weights, seeds)
             self._memory = self._tick.memory()
             self._moment = self._tick.first(self._memory)
         self._clock = 0

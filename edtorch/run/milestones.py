@@ -7,6 +7,7 @@ them fails, and at the goal if all of them end ``SUCCEEDED``.
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -43,7 +44,8 @@ class Checkpoint:
     """One seed's policy at one moment.
 
     seconds, episodes, failures, cpu_s: paid until then; failure_rate, goal_rate: of ``tried`` fresh
-    episodes; measures: means over those that ended ``SUCCEEDED``, of measures of successes.
+    episodes; measures: means over those that ended ``SUCCEEDED``, of measures of successes;
+    success_rate: of those of which it is known (``Episode.success``), NaN without any.
     """
 
     seconds: float
@@ -54,6 +56,7 @@ class Checkpoint:
     failure_rate: float
     goal_rate: float
     measures: Mapping[str, float] = field(default_factory=dict)
+    success_rate: float = math.nan
 
     @property
     def stable(self) -> bool:
@@ -76,6 +79,7 @@ def checkpoint(
     cpu_s: float,
 ) -> Checkpoint:
     """From the fresh episodes of one policy, at least one; the rest: paid until then."""
+    known = [e.success for e in fresh if e.success is not None]
     reached = [e for e in fresh if e.outcome is Outcome.SUCCEEDED]
     means: dict[str, float] = {}
     for measure in measures:
@@ -90,6 +94,7 @@ def checkpoint(
         failure_rate=sum(e.outcome is Outcome.FAILED for e in fresh) / len(fresh),
         goal_rate=len(reached) / len(fresh),
         measures=means,
+        success_rate=sum(known) / len(known) if known else math.nan,
     )
 
 

@@ -103,6 +103,7 @@ BESIDE = {
     ],
     ("reward", "quadratic"): ["+reward.state.lean=1"],
     ("reward", "saturating"): ["reward.width.lean=0.1"],
+    ("reward", "nearness"): ["reward.rows=[{lean: 10}]"],
     ("fit", "local"): ["experiment=regulation"],
     ("offline", "recorded"): ["offline.data=transitions.npz", "train.seconds=1"],
 }

@@ -15,9 +15,10 @@ import pytest
 import torch
 
 import edtorch
-from edtorch.app.build_planned import Solved, build_planned
+from edtorch.app.build_planned import build_planned
 from edtorch.app.compose import compose
 from edtorch.app.errors import ConfigError
+from edtorch.app.solved import Solved
 from sims.tasks.cart_pole import CartPole
 from tests.app.conftest import Result
 

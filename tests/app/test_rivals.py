@@ -101,6 +101,23 @@ def test_budgets_and_milestones_end_a_seed(command: Command, workplace: Path) ->
         assert _json(workplace / name / "summary.json")["simulated_seconds"] == seconds
 
 
+def test_a_solved_task_ends_a_seed_and_is_tried_again(command: Command, workplace: Path) -> None:
+    """In other episodes than those that decided."""
+    more = ("seeds=2", "eval.episodes=30", "+eval.solved.rate=1", "log.progress=false")
+    result = command("edtorch-train", *SYSTEM, *more, "hydra.run.dir=solved")
+    assert result.status == 0, result.err
+    summary = _json(workplace / "solved" / "summary.json")
+    assert summary["seconds_to_solved"]["per_seed"] == summary["simulated_seconds"] == [6, 8]
+    assert summary["trials_to_solved"]["per_seed"] == [3, 4]
+    assert summary["never_solved"] == []
+    assert summary["success_rate"]["per_seed"] == [1, 1]
+    never = command("edtorch-train", *SYSTEM, *more, "train.seconds=4", "hydra.run.dir=never")
+    assert never.status == 0, never.err
+    summary = _json(workplace / "never" / "summary.json")
+    assert summary["seconds_to_solved"]["median"] is None
+    assert summary["never_solved"] == [0, 1]
+
+
 def test_a_report_reads_it(folder: Path, command: Command, workplace: Path) -> None:
     result = command("edtorch-report", str(folder), "--output", "page")
     assert result.status == 0, result.err
@@ -113,6 +130,7 @@ def test_a_report_reads_it(folder: Path, command: Command, workplace: Path) -> N
         (["rival.pieces=0"], r"rival\.pieces=0: expected an integer >= 1"),
         (["+rival.peices=1"], r"rival\.peices=1: unknown key; did you mean rival\.pieces\?"),
         (["train.until=later"], r"train\.until=later: expected null or one of stable, goal"),
+        (["+eval.solved.mean_return=1"], r"eval\.solved\.mean_return=1: expected null without"),
         (["eval.episodes=0"], r"eval\.episodes=0: expected an integer >= 1"),
         (["command=ramp", "command.component=s0"], r"command=ramp: expected free with a rival"),
         (["observation.delay=1"], r"observation\.delay=1.*expected 0 and nothing with a rival"),

@@ -53,6 +53,12 @@ def test_a_fall_in_the_screening_is_no_stable_policy_and_costs_no_more() -> None
     assert [len(own) for own in complete] == [5, 5, 5]
 
 
+def test_without_screening_all_are_tried_in_everything() -> None:
+    world = World([FELL] + [ARRIVED] * 4)
+    found = Trials(1, 5, world.fresh, screening=5).run([0], paid)[0]
+    assert (found.tried, found.failure_rate) == (5, pytest.approx(0.2))
+
+
 def test_who_rode_the_last_time_is_not_screened() -> None:
     world = World([RODE] * 4, [FELL] * 4)
     trials = Trials(2, 4, world.fresh)

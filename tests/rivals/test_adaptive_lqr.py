@@ -86,6 +86,6 @@ def test_refuses(setting: str, value: Any, expected: str) -> None:
 
 def test_refuses_actions_that_cost_nothing() -> None:
     asked = scalar()
-    free = type(asked.reward)(asked.reward.state_cost, 0 * asked.reward.action_cost)
+    free = type(asked.weights)(asked.weights.state_cost, 0 * asked.weights.action_cost)
     with pytest.raises(ValueError, match=r"reward\.action: expected a cost > 0 of every action"):
         AdaptiveLqr().begin(dataclasses.replace(asked, reward=free))

@@ -32,7 +32,7 @@ def test_gain_solves_the_riccati_equation() -> None:
     asked = problem(LinearSystem(STATE, ACTION, noise=0.1), [1.0, 2.0], [0.3], [0, 1, 2])
     search = Lqr().begin(asked)
     F, G = (torch.tensor(x, dtype=torch.float64) for x in (STATE, ACTION))
-    Q, R = asked.reward.state_cost, asked.reward.action_cost
+    Q, R = asked.weights.state_cost, asked.weights.action_cost
     P, theta = Q, torch.zeros(1, 2, dtype=torch.float64)
     for _ in range(500):
         theta = -torch.linalg.solve(R + G.T @ P @ G, G.T @ P @ F)
@@ -63,7 +63,7 @@ def test_the_bicycle_is_linearised_upright_and_straight() -> None:
 
 def test_refuses() -> None:
     asked = scalar()
-    free = type(asked.reward)(asked.reward.state_cost, 0 * asked.reward.action_cost)
+    free = type(asked.weights)(asked.weights.state_cost, 0 * asked.weights.action_cost)
     with pytest.raises(ValueError, match=r"reward\.action: expected a cost > 0 of every action"):
         Lqr().begin(dataclasses.replace(asked, reward=free))
     for policy in (LinearPolicy(1, 1, Affine(1)), SquashedPolicy(1, 1, asked.policy.features)):
