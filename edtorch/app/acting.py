@@ -59,20 +59,21 @@ class LearnedPolicy:
         episodes side by side.  Raises ValueError for other shapes, and for what is not a finite
         number."""
         try:
-            given = torch.as_tensor(np.asarray(observation, dtype=np.float64))
+            given = np.asarray(observation, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise ValueError(f"observation={observation!r}: expected numbers") from error
         if given.ndim not in (1, 2):
-            raise ValueError(f"observation: has shape {tuple(given.shape)}, expected [n] or [k, n]")
-        if not bool(given.isfinite().all()):
+            raise ValueError(f"observation: has shape {given.shape}, expected [n] or [k, n]")
+        if not np.isfinite(given).all():
             raise ValueError(f"observation={observation}: expected finite numbers")
-        rows = given.unsqueeze(0) if given.ndim == 1 else given
+        rows = given[None] if given.ndim == 1 else given
         with torch.inference_mode():
-            action = self._act(rows).numpy().astype(self._dtype)
+            action = self._act(torch.as_tensor(rows)).numpy().astype(self._dtype)
         return action[0] if given.ndim == 1 else action
 
     def _act(self, observed: Tensor) -> Tensor:
-        world, parameters = self._world, self._for_rows(len(observed))
+        # Not len(), which torch answers in Python.
+        world, parameters = self._world, self._for_rows(observed.shape[0])
         viewed = getattr(world.sim, "viewed", None)
         observed = observed if viewed is None else viewed(observed)
         if observed.shape[-1] != len(world.spec.state):
@@ -80,7 +81,7 @@ class LearnedPolicy:
                 f"observation: has {observed.shape[-1]} components, expected those of"
                 f" {world.spec.name}: {', '.join(q.name for q in world.spec.state)}"
             )
-        if self._before is not None and len(self._before) != len(observed):
+        if self._before is not None and self._before.shape[0] != observed.shape[0]:
             raise ValueError(
                 f"observation: {len(observed)} rows, expected the {len(self._before)} episodes of"
                 " the call before; call reset() at the start of new ones"
@@ -98,7 +99,7 @@ class LearnedPolicy:
         if self._memory is None or self._before is None or self._action is None:
             self._memory = observer.initial(now)
         else:
-            valid = torch.ones(len(now), dtype=torch.bool)
+            valid = torch.ones(now.shape[0], dtype=torch.bool)
             seconds = self._world.seconds
             happened = Transition(self._before, self._action, now, seconds, valid)
             self._memory = observer.follow(parameters, self._memory, happened)

@@ -109,5 +109,6 @@ class Lift:
         order[self.at[self.angle] + 1] = sine[self.angle] + self.angle.sum()
         order[self.action_at :] = 1 + n + np.arange(m)
         found = (np.flatnonzero(self.angle), self.unit[self.angle], order)
-        angles, unit, places = (torch.from_numpy(each) for each in found)
+        with torch.inference_mode(False):  # they outlive the call that asks first
+            angles, unit, places = (torch.from_numpy(each) for each in found)
         return angles, unit, places

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -43,6 +44,12 @@ class Terms:
     def count(self) -> int:
         """K."""
         return len(self.derivative)
+
+    @cached_property
+    def _columns(self) -> list[Tensor]:
+        """Of ``factors``."""
+        with torch.inference_mode(False):  # they outlive the call that asks first
+            return list(torch.from_numpy(self.factors).T)
 
     @classmethod
     def implicit(cls, told: Told, lift: Lift, degree: int = 2) -> Terms:
@@ -92,19 +99,17 @@ class Terms:
 
     def __call__(self, lifted: Tensor) -> Tensor:
         """``[*batch, K]``, without the factors f_j, of A ``[*batch, size]``."""
-        factors = torch.from_numpy(self.factors)
-        found = lifted[..., factors[:, 0]]
-        for d in range(1, factors.shape[1]):
-            found = found * lifted[..., factors[:, d]]
+        found = lifted[..., self._columns[0]]
+        for column in self._columns[1:]:
+            found = found * lifted[..., column]
         return found
 
     def jacobian(self, lifted: Tensor, slope: Tensor) -> Tensor:
         """Derivatives ``[*batch, K, p]``, without the factors f_j, of A with slope dA ``[*batch,
         size, p]``: the product rule."""
-        factors = torch.from_numpy(self.factors)
-        parts = [lifted[..., column] for column in factors.T]
+        parts = [lifted[..., column] for column in self._columns]
         total = slope.new_zeros(*lifted.shape[:-1], self.count, slope.shape[-1])
-        for d, column in enumerate(factors.T):
+        for d, column in enumerate(self._columns):
             others = torch.ones_like(parts[d])
             for part in parts[:d] + parts[d + 1 :]:
                 others = others * part

@@ -46,7 +46,7 @@ class TimedPolicy:
         """``[*more, B, n + 1] -> [*more, B, m]``."""
         state, ticks = state[..., :-1], state[..., -1]
         tick = ticks.long().clamp(0, self.horizon - 1)
-        row = torch.arange(tick.shape[-1], device=tick.device).expand_as(tick)
+        row = torch.arange(tick.shape[-1], device=tick.device)
         away = wrapped(state - parameters["state"][row, tick], self.period)
         return self.squash(
             parameters["raw"][row, tick] + matvec(parameters["gain"][row, tick], away)

@@ -61,3 +61,13 @@ def test_without_angles_and_actions() -> None:
     lift = Lift.of(Told.of(spec))
     state = torch.tensor([[2.0]], dtype=torch.float64)
     assert lift(state, state[:, :0]).tolist() == [[1.0, 2.0]]
+
+
+def test_it_has_derivatives_after_it_was_used_without() -> None:
+    """What it looks up once does not belong to the mode in which that happened."""
+    lift, (state, action) = Lift.of(TOLD), _rows()
+    with torch.inference_mode():
+        wanted = lift(state, action)
+    found = lift(state.requires_grad_(), action)
+    found.sum().backward()
+    assert found.equal(wanted) and state.grad is not None
