@@ -106,3 +106,31 @@ def test_milestones_are_the_first_checkpoints_that_are(folders: tuple[Path, Path
     assert summary["milestones"]["goal"]["never"] == summary["seeds"]
     assert summary["milestones"]["goal"]["seconds"]["per_seed"] == summary["simulated_seconds"]
     assert summary["milestones"]["goal"]["path_length_m"]["median"] is None
+
+
+SOLVED = (
+    *("experiment=figure1", "seeds=2", "train.seconds=60", "eval.episodes=5"),
+    *("+eval.solved.rate=1", "compute.native=off", "log.tensorboard=false", "log.figures=false"),
+)
+
+
+@pytest.mark.parametrize(("minutes", "seconds"), [("[0.5,0.75]", 30), ("[]", 60)])
+def test_a_task_counts_as_solved_where_it_is_first_looked_at(
+    command: Command, workplace: Path, minutes: str, seconds: float
+) -> None:
+    """Nothing in this loop fails, so that every policy is good."""
+    place = "hydra.run.dir=run"
+    result = command("edtorch-train", *SOLVED, f"eval.minutes={minutes}", place)
+    assert result.status == 0, result.err
+    summary = _json(workplace / "run" / "summary.json")
+    assert summary["seconds_to_solved"]["per_seed"] == pytest.approx([seconds] * 2)
+    assert summary["never_solved"] == []
+    assert summary["success_rate"]["per_seed"] == [1, 1]
+    assert summary["simulated_seconds"] == [60, 60]
+
+
+def test_whether_a_task_is_solved_takes_episodes(command: Command, workplace: Path) -> None:
+    result = command("edtorch-train", *SOLVED, "eval.episodes=0")
+    assert result.status == 1
+    assert "eval.episodes=0: expected an integer >= 1" in result.line
+    assert list(workplace.iterdir()) == []
