@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from edtorch.app.planned_progress import SeedProgress
-from edtorch.app.solved import shown, to_solved
+from edtorch.app.solved import finite_or_null, to_solved
 from edtorch.run.episodes import Episode
 from edtorch.run.log import Entry, median_known
 
@@ -97,7 +97,9 @@ def solved_figures(progress: Sequence[SeedProgress], seeds: Sequence[int]) -> di
         "never_solved": [
             seed for seed, each in zip(seeds, progress, strict=True) if each.solved is None
         ],
-        "success_rate_after_trial": [[shown(rate) for rate in each.rates] for each in progress],
+        "success_rate_after_trial": [
+            [finite_or_null(rate) for rate in each.rates] for each in progress
+        ],
         "seconds_after_trial": [each.seconds_after for each in progress],
         "cpu_s_of_trial": [each.cpu_s for each in progress],
         "simulated_seconds": [each.seconds for each in progress],

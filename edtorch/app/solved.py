@@ -85,13 +85,13 @@ def to_solved(values: Sequence[float | None]) -> dict[str, Any]:
     """Median and extremes with unsolved seeds, which are None, as infinity, which is null."""
     numbers = [math.inf if value is None else float(value) for value in values]
     return {
-        "per_seed": [shown(value) for value in numbers],
-        "median": shown(median_seconds(numbers)),
-        "min": shown(min(numbers)),
-        "max": shown(max(numbers)),
+        "per_seed": [finite_or_null(value) for value in numbers],
+        "median": finite_or_null(median_seconds(numbers)),
+        "min": finite_or_null(min(numbers)),
+        "max": finite_or_null(max(numbers)),
     }
 
 
-def shown(value: float) -> float | None:
+def finite_or_null(value: float) -> float | None:
     """In a file: null for what is not finite, or not known as no episode counts as a success."""
     return value if math.isfinite(value) else None
