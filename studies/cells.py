@@ -11,7 +11,7 @@ that it works.
 The file of cells:
 
     seeds: 200                     # optional: of every cell
-    common: [KEY=VALUE, ...]       # overrides of all cells
+    common: [KEY=VALUE, ...]       # overrides of all cells; ~KEY leaves a key out
     quick: [KEY=VALUE, ...]        # further overrides of a quick run
     tables:
       TABLE:
@@ -52,6 +52,7 @@ REPORT = "import sys; sys.argv[0] = 'edtorch-report'; from edtorch.app.report im
 QUICK_APART = 2
 """Most seeds with a run each in a quick run."""
 _ANOTHER = re.compile(r"\{([a-z0-9_]+/[a-z0-9_]+)\}")
+_OVERRIDE = re.compile(r"~|.*=").match
 _NOT_MADE = "not made yet, or failed"
 
 
@@ -102,8 +103,8 @@ class Finished:
 
 
 def overrides(node: Any, place: str) -> tuple[str, ...]:
-    if not isinstance(node, list) or not all(isinstance(v, str) and "=" in v for v in node):
-        raise BadCells(f"{place}={node}: expected a list of KEY=VALUE")
+    if not isinstance(node, list) or not all(isinstance(v, str) and _OVERRIDE(v) for v in node):
+        raise BadCells(f"{place}={node}: expected a list of KEY=VALUE, or ~KEY")
     return tuple(node)
 
 

@@ -78,14 +78,35 @@ def ablation_row(name: str, summary: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def other_row(name: str, summary: Mapping[str, Any]) -> list[str]:
+    """One row of a method without trials to count: what it had, and how good it was then."""
+    rates = summary["success_rate"]["per_seed"]
+    return [
+        name.replace("_", " "),
+        f"{max(summary['simulated_seconds']):g}",
+        share(within(summary, math.inf)),
+        seconds_told(summary),
+        f"{statistics.median(rates):.4g} [{min(rates):.4g}, {max(rates):.4g}]",
+        f"{summary['cpu_s'] / len(rates):.1f}",
+    ]
+
+
 RECORDS = (
     *("task", "seconds to solved, median [min, max]", "solved, Wilson 95 %"),
     *("success, or return, in other episodes, median [min]", "CPU s a trial", "told", "published"),
 )
+OTHERS = (
+    *("task", "seconds of experience, at most", "solved", "seconds to solved, median [min, max]"),
+    *("success in other episodes, median [min, max]", "CPU s a seed"),
+)
+OTHER_METHODS = ("online", "rivals")
+"""Tables of methods that do not search between trials."""
 ABLATION = (
     *("without", "solved after the first trial", "solved", "seconds, median [min, max]"),
     "CPU s a trial",
 )
+HEADERS = {"records": RECORDS, **dict.fromkeys(OTHER_METHODS, OTHERS)}
+"""By table; ABLATION of all others."""
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -105,11 +126,12 @@ def report(study: Finished) -> int:
         own = parts.setdefault(cell.table, [])
         if cell.table == "records":
             own.append(record_row(cell.name, summary, published.get(cell.name, {})))
+        elif cell.table in OTHER_METHODS:
+            own.append(other_row(cell.name, summary))
         else:
             own.append(ablation_row("nothing" if cell.baseline else cell.name, summary))
     texts = [
-        f"## {name.replace('_', ' ').capitalize()}\n\n"
-        + table(RECORDS if name == "records" else ABLATION, rows)
+        f"## {name.replace('_', ' ').capitalize()}\n\n" + table(HEADERS.get(name, ABLATION), rows)
         for name, rows in parts.items()
     ]
     if study.keep is not None and texts:

@@ -38,7 +38,17 @@ def test_an_ablation_counts_after_the_first_trial() -> None:
     assert row[1].startswith("1 of 3") and row[2].startswith("2 of 3")
 
 
+def test_another_method_has_what_it_was_given() -> None:
+    given = {"simulated_seconds": [16.0, 16.0, 12.0], "cpu_s": 6.0}
+    row = tasks.other_row("cartpole_sac", {**SUMMARY, **given})
+    assert row[:2] == ["cartpole sac", "16"]
+    assert row[2].startswith("2 of 3: 66.7 % [")
+    assert row[3:] == ["8 [4, ∞]", "0.97 [0.2, 1]", "2.0"]
+
+
 def test_each_row_has_a_cell_of_the_header() -> None:
+    given = {"simulated_seconds": [16.0], "cpu_s": 6.0}
+    assert len(tasks.other_row("x", {**SUMMARY, **given})) == len(tasks.OTHERS)
     assert len(tasks.record_row("x", SUMMARY, {})) == len(tasks.RECORDS)
     assert len(tasks.ablation_row("x", SUMMARY)) == len(tasks.ABLATION)
     lines = tasks.table(("a", "b"), [["1", "2"]]).splitlines()
