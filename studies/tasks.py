@@ -105,7 +105,11 @@ ABLATION = (
     *("without", "solved after the first trial", "solved", "seconds, median [min, max]"),
     "CPU s a trial",
 )
-HEADERS = {"records": RECORDS, **dict.fromkeys(OTHER_METHODS, OTHERS)}
+HEADERS = {
+    "records": RECORDS,
+    "gradient": ("policy, and belief", *ABLATION[1:]),
+    **dict.fromkeys(OTHER_METHODS, OTHERS),
+}
 """By table; ABLATION of all others."""
 
 

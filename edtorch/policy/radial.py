@@ -42,8 +42,8 @@ class RadialPolicy(BoundedPolicy):
         components: Sequence[int],
         squash: Squash,
         centres: int,
-        width: float = 1.0,
-        normalised: bool = False,
+        width: float = 0.5,
+        normalised: bool = True,
     ) -> None:
         if centres < 1:
             raise ValueError(f"centres={centres}: expected an integer >= 1")

@@ -31,7 +31,7 @@ class Adam:
     belief: Literal["first_order", "cubature"] | None = None
     components: int = 1
     steps: int = 60
-    rate: float = 0.1
+    rate: float = 0.05
 
     def __post_init__(self) -> None:
         """Reject invalid settings."""

@@ -51,8 +51,8 @@ class RadialPolicies:
     """Radial basis functions (``edtorch.policy.radial``)."""
 
     centres: int = 30
-    width: float = 1.0
-    normalised: bool = False
+    width: float = 0.5
+    normalised: bool = True
 
     def policy(
         self, lift: Lift, components: Sequence[int], squash: Squash, *, odd: bool

@@ -38,8 +38,8 @@ class GaussNewton:
             for each in ticks:
                 policy = descend(task.model, task.cost(each), policy, start)
             found.append(policy)
-        weights = torch.from_numpy(np.stack([policy.weight for policy in found]))
-        return Improved({"weight": weights}, np.array([policy.cost for policy in found]))
+        improved = torch.from_numpy(np.stack([policy.weight for policy in found]))
+        return Improved({"weight": improved}, np.array([policy.cost for policy in found]))
 
 
 GAUSS_NEWTON = GaussNewton()
