@@ -3,7 +3,9 @@
     python -m benchmarks.acting [--rounds 7] [--json FILE]
 
 The policies that searches between trials leave, of random parameters: a plan with gains by tick,
-knots at its states, monomials of the lift, a regulator; and the bicycle's, linear in the state.
+knots at its states, monomials of the lift, radial functions, a network, a regulator; and the
+bicycle's, linear in the state.
+
 Microseconds of ``LearnedPolicy.predict`` (units, checks and bounds included), of the actor alone
 on tensors, and, where roll-outs of the policy are compiled, of a tick of one, the model included.
 """
@@ -26,10 +28,13 @@ from edtorch.search.imagination import Futures, Knots, imagine, imagine_knots
 from edtorch.search.plan import Plan
 from tests.planning import HANGING, swing_up, swing_up_cost
 
+ADAM = ("experiment=pendulum_swingup", "search=gradient", "search/improver=adam")
 POLICIES = {
     "timed": ["experiment=cartpole_swingup"],
     "knots": ["experiment=cartpole_swingup", "search.policy=stationary"],
     "monomials": ["experiment=pendulum_swingup", "search=gradient", "search.odd=true"],
+    "radial": [*ADAM, "search/policy=rbf"],
+    "network": [*ADAM, "search/policy=mlp"],
     "regulator": ["experiment=cartpole_swingup", "search=regulated", "search.held={angle: 0.0}"],
     "linear": ["experiment=bicycle"],
 }
