@@ -3,7 +3,7 @@
     python -m studies.tasks [options: see studies/cells.py]
 
 Every cell of ``tasks.yaml`` is a population of searches in ``runs/tasks/TABLE/CELL``.  Tables of
-the cells that are there are written to ``tasks.md`` beside the kept results, for ``docs/tasks.md``.
+all kept results are written to ``tasks.md`` beside them, for ``docs/tasks.md``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import yaml
 from edtorch.report.proportions import Proportion
 from edtorch.run.files import write_text
 from studies import cells as making
-from studies.cells import Cell, Finished
+from studies.cells import Finished
 
 KEPT = Path("runs/reference/tasks")
 PUBLISHED = Path(__file__).with_name("tasks_published.yaml")
@@ -120,13 +120,16 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def report(study: Finished) -> int:
-    """Write the tables; nothing can fail to be made but what is missing."""
+    """Write the tables of what is kept, now or before; nothing else can fail to be made."""
+    if study.keep is None:
+        return 0
     published = yaml.safe_load(PUBLISHED.read_text(encoding="utf-8"))
     parts: dict[str, list[list[str]]] = {}
     for cell in study.plan.cells:
-        if cell.title in study.missing:
+        place = cell.folder(study.keep) / "summary.json"
+        if not place.exists():
             continue
-        summary = _summary(cell, study.output)
+        summary = json.loads(place.read_text(encoding="utf-8"))
         own = parts.setdefault(cell.table, [])
         if cell.table == "records":
             own.append(record_row(cell.name, summary, published.get(cell.name, {})))
@@ -138,14 +141,10 @@ def report(study: Finished) -> int:
         f"## {name.replace('_', ' ').capitalize()}\n\n" + table(HEADERS.get(name, ABLATION), rows)
         for name, rows in parts.items()
     ]
-    if study.keep is not None and texts:
+    if texts:
         write_text(study.keep / "tasks.md", "\n".join(texts))
         print("\n".join(texts))
     return 0
-
-
-def _summary(cell: Cell, output: Path) -> dict[str, Any]:
-    return json.loads((cell.folder(output) / "summary.json").read_text(encoding="utf-8"))
 
 
 def main() -> None:
