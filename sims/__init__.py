@@ -14,6 +14,7 @@ for _id, _entry_point in {
     "edtorch/Pendubot-v0": "sims.tasks.env:PendubotEnv",
     "edtorch/DoublePendulum-v0": "sims.tasks.env:DoublePendulumEnv",
     "edtorch/CartDoublePendulum-v0": "sims.tasks.env:CartDoublePendulumEnv",
+    "edtorch/StopPendulum-v0": "sims.tasks.env:StopPendulumEnv",
     "edtorch/Unicycle-v0": "sims.tasks.env:UnicycleEnv",
 }.items():
     if _id not in gymnasium.registry:

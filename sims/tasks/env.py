@@ -18,6 +18,7 @@ from sims.tasks.double_pendulum import DoublePendulum
 from sims.tasks.held_tip import HeldTip
 from sims.tasks.pendubot import Pendubot
 from sims.tasks.pendulum_swing_up import PendulumSwingUp
+from sims.tasks.stop_pendulum import StopPendulum
 from sims.tasks.unicycle import RADIUS, TO_DISC, Unicycle
 
 
@@ -92,6 +93,12 @@ class CartDoublePendulumEnv(HeldTipEnv):
     """``sims.tasks.cart_double_pendulum.CartDoublePendulum``."""
 
     task = CartDoublePendulum
+
+
+class StopPendulumEnv(HeldTipEnv):
+    """``sims.tasks.stop_pendulum.StopPendulum``."""
+
+    task = StopPendulum
 
 
 class UnicycleEnv(SimEnv):

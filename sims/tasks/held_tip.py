@@ -66,6 +66,8 @@ class HeldTip(RowSim, ABC):
     """Of the target, m."""
     substeps: ClassVar[int]
     """Of Runge and Kutta's method in a tick."""
+    walls: ClassVar[tuple[float, ...]] = ()
+    """Angles at which a rod from the first joint is stopped, for the pictures."""
 
     def __init__(
         self,
@@ -109,6 +111,11 @@ class HeldTip(RowSim, ABC):
     def derivative(self, xp: Namespace) -> Function:
         """ds/dt of the mechanism: a function of its state and the action, tuples of rows."""
 
+    def motion(self, xp: Namespace) -> Function:
+        """The mechanism's state after ``dt`` seconds: a function of (its state, action, dt), steps
+        of Runge and Kutta's method."""
+        return runge_kutta_over(xp, xp.jit(self.derivative(xp)), len(self.mean), self.substeps)
+
     @abstractmethod
     def joints(self, xp: Namespace) -> Function:
         """Where joints and tip are: a function of the mechanism's state that gives (x, y, x, y...)
@@ -127,10 +134,10 @@ class HeldTip(RowSim, ABC):
         return distance
 
     def rows(self, xp: Namespace) -> Rows:
-        """Steps of Runge and Kutta's method, and three rows more for the judgement."""
+        """The motion, and three rows more for the judgement."""
         n = len(self.mean)
         mechanism, distance = first_over(xp, n), self._distance(xp)
-        move = runge_kutta_over(xp, xp.jit(self.derivative(xp)), n, self.substeps)
+        move = self.motion(xp)
         start, before = normal_start_over(xp, self.mean, self.deviation), xp.jit(is_before)
 
         def step(s, action, uniforms, c):
@@ -203,6 +210,7 @@ class HeldTip(RowSim, ABC):
             width=c.width,
             on_rail=self.spec.state[0].name == "position",
             seconds=float(seconds),
+            walls=self.walls,
         )
 
 

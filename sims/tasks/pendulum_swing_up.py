@@ -45,16 +45,26 @@ class PendulumSwingUp(HeldTip):
         super().__init__(dt, time_limit, hold_from, width)
 
     def derivative(self, xp: Namespace) -> Function:
-        """ds/dt from state and action: m l^2 / 3 times the acceleration is the torque."""
-
-        def derivative(s, action):
-            angle, rate = s
-            lever = MASS * GRAVITY * LENGTH / 2
-            torque = action[0] + lever * xp.sin(angle) - FRICTION * rate
-            return rate, torque / (MASS * LENGTH**2 / 3)
-
-        return derivative
+        """ds/dt from state and action."""
+        return derivative_over(xp)
 
     def joints(self, xp: Namespace) -> Function:
         """The pivot and the tip."""
-        return lambda s: (0.0, 0.0, -LENGTH * xp.sin(s[0]), LENGTH * xp.cos(s[0]))
+        return joints_over(xp)
+
+
+def derivative_over(xp: Namespace) -> Function:
+    """ds/dt from state and action: m l^2 / 3 times the acceleration is the torque."""
+
+    def derivative(s, action):
+        angle, rate = s
+        lever = MASS * GRAVITY * LENGTH / 2
+        torque = action[0] + lever * xp.sin(angle) - FRICTION * rate
+        return rate, torque / (MASS * LENGTH**2 / 3)
+
+    return derivative
+
+
+def joints_over(xp: Namespace) -> Function:
+    """The pivot and the tip, (x, y, x, y) in m."""
+    return lambda s: (0.0, 0.0, -LENGTH * xp.sin(s[0]), LENGTH * xp.cos(s[0]))

@@ -30,13 +30,14 @@ def rods(
     width: float,
     on_rail: bool,
     seconds: float,
+    walls: Sequence[float] = (),
 ) -> np.ndarray:
     """RGB picture, uint8 ``[270, 480, 3]``, of the last of ``places`` ``[T, J, 2]``.
 
     ``places``: of the joints and the tip, m, right and up, the first joint at height 0; ``target``
     ``[2]``: of the tip, with a disc of radius ``width`` (m) about it; ``on_rail``: whether the
     first joint is that of a cart on a rail, which the picture then follows; ``seconds``: what the
-    clock shows.
+    clock shows; ``walls``: angles from upright, anticlockwise, of stops about the first joint.
     """
     now = places[-1]
     reach = float(np.hypot(*np.diff(now, axis=0).T).sum())
@@ -65,6 +66,9 @@ def rods(
             x, _ = place(np.array([0.5 * k, 0.0]))
             draw.line((x, 0, x, HEIGHT * _FINE), fill=_LINE if k == 0 else _GRID, width=2)
         draw.line((0, HEIGHT * _FINE / 2, WIDTH * _FINE, HEIGHT * _FINE / 2), fill=_LINE, width=4)
+    for angle in walls:
+        outward = reach * np.array([-math.sin(angle), math.cos(angle)])
+        draw.line((*place(now[0] + 0.3 * outward), *place(now[0] + outward)), fill=_LINE, width=8)
     path = [place(point) for point in places[-_RECENT:, -1]]
     if len(path) > 1:
         draw.line(path, fill=_PATH, width=4, joint="curve")

@@ -88,7 +88,7 @@ BESIDE = {
     ("reward", "goal"): ["domain=cardea"],
     **{
         ("domain", name): ["reward=quadratic", "+reward.state.angle=1"]
-        for name in ("cartpole_swingup", "cartpole_tracking", "pendulum_swingup")
+        for name in ("cartpole_swingup", "cartpole_tracking", "pendulum_swingup", "stop_pendulum")
     },
     **{
         ("domain", name): ["reward=quadratic", "+reward.state.angle_1=1"]

@@ -11,6 +11,7 @@ import pytest
 from sims.tasks.env import HeldTipEnv, PendulumSwingUpEnv, UnicycleEnv
 
 TASKS = ["CartPoleSwingUp", "PendulumSwingUp", "Pendubot", "DoublePendulum", "CartDoublePendulum"]
+TASKS += ["StopPendulum"]
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -21,6 +21,7 @@ from sims.tasks.double_pendulum import DoublePendulum
 from sims.tasks.held_tip import HeldTip
 from sims.tasks.pendubot import Pendubot
 from sims.tasks.pendulum_swing_up import PendulumSwingUp
+from sims.tasks.stop_pendulum import StopPendulum
 
 TASKS: dict[str, Callable[..., HeldTip]] = {
     "cart-pole": CartPoleSwingUp,
@@ -28,6 +29,7 @@ TASKS: dict[str, Callable[..., HeldTip]] = {
     "pendubot": Pendubot,
     "double pendulum": DoublePendulum,
     "cart-double-pendulum": CartDoublePendulum,
+    "stop pendulum": StopPendulum,
 }
 
 
