@@ -16,6 +16,7 @@ for _id, _entry_point in {
     "edtorch/CartDoublePendulum-v0": "sims.tasks.env:CartDoublePendulumEnv",
     "edtorch/StopPendulum-v0": "sims.tasks.env:StopPendulumEnv",
     "edtorch/Unicycle-v0": "sims.tasks.env:UnicycleEnv",
+    "edtorch/Walker-v0": "sims.tasks.env:WalkerEnv",
 }.items():
     if _id not in gymnasium.registry:
         gymnasium.register(_id, entry_point=_entry_point)

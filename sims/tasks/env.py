@@ -15,11 +15,13 @@ from sims.sensing import Sensed
 from sims.tasks.cart_double_pendulum import CartDoublePendulum
 from sims.tasks.cart_pole_swing_up import CartPoleSwingUp
 from sims.tasks.double_pendulum import DoublePendulum
+from sims.tasks.five_links import SHANK, THIGH
 from sims.tasks.held_tip import HeldTip
 from sims.tasks.pendubot import Pendubot
 from sims.tasks.pendulum_swing_up import PendulumSwingUp
 from sims.tasks.stop_pendulum import StopPendulum
 from sims.tasks.unicycle import RADIUS, TO_DISC, Unicycle
+from sims.tasks.walker import Walker
 
 
 class HeldTipEnv(SimEnv):
@@ -141,3 +143,48 @@ class _Height:
         up, top = RADIUS + TO_DISC * np.cos(after[self.pitch]), RADIUS + TO_DISC
         square = forward**2 + up**2 + top**2 - 2 * up * top * np.cos(after[self.roll])
         return float(np.exp(-0.5 * square))
+
+
+class WalkerEnv(SimEnv):
+    """Walk a planar biped from rest: ``sims.tasks.walker.Walker``.
+
+    Leans are read with a normal error of standard deviation 0.001 rad, their rates with 0.005 rad/s
+    (``noise``, ``rate_noise``), steps and forces without.
+
+    The reward of a step is how far the hip went forward (m), by the leans and rates that the step
+    returns.
+
+    A fall terminates an episode (info ``outcome`` FAILED, SUCCEEDED after enough steps), the time
+    limit truncates it (SUCCEEDED or TIMED_OUT).
+
+    Arguments: ``noise``, ``rate_noise``, ``render_mode`` (None, "rgb_array"), and those of the
+    simulator by name.
+    """
+
+    def __init__(
+        self,
+        *,
+        noise: float = 0.001,
+        rate_noise: float = 0.005,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        """The walker, with ``arguments`` of its own, seen through sensors."""
+        sim = Walker(**arguments)
+        deviations = {
+            quantity.name: rate_noise if quantity.rate_of else noise
+            for quantity in sim.spec.state[:10]
+        }
+        super().__init__(Sensed(sim, deviations), _Forward(sim.spec.dt), render_mode=render_mode)
+
+
+@dataclass(frozen=True)
+class _Forward:
+    """The speed of the hip times ``dt``; shank and thigh of the stance leg are observed first."""
+
+    dt: float
+
+    def __call__(self, before: Array, action: Array, after: Array) -> float:
+        shank, shank_rate, thigh, thigh_rate = after[:4]
+        speed = SHANK * np.cos(shank) * shank_rate + THIGH * np.cos(thigh) * thigh_rate
+        return float(speed * self.dt)

@@ -1,4 +1,4 @@
-"""Pictures of the tasks: rods in a vertical plane, wires in space."""
+"""Pictures of the tasks: rods in a vertical plane, a walker, wires in space."""
 
 from __future__ import annotations
 
@@ -80,6 +80,40 @@ def rods(
         draw.line((*place(a), *place(b)), fill=colour, width=14)
         disc(a, 9, _SOFT)
         disc(b, 7, colour)
+    return _finished(image, draw, seconds)
+
+
+def walk(limbs: Sequence[np.ndarray], *, path: np.ndarray, seconds: float) -> np.ndarray:
+    """RGB picture, uint8 ``[270, 480, 3]``, of ``limbs``, each a line ``[K, 2]`` (m, forward and
+    up), about 1.5 m high on flat ground, seen from the side.
+
+    The first is the farther leg.  ``path`` ``[T, 2]``: a line that ends where the picture follows;
+    ``seconds``: what the clock shows.
+    """
+    scale = HEIGHT * _FINE / 1.75
+    image = Image.new("RGB", (WIDTH * _FINE, HEIGHT * _FINE), _PAPER)
+    draw = ImageDraw.Draw(image)
+    middle, across = float(path[-1, 0]), WIDTH / HEIGHT * 1.75 / 2
+
+    def place(point: np.ndarray) -> tuple[float, float]:
+        return (
+            WIDTH * _FINE / 2 + scale * (float(point[0]) - middle),
+            0.9 * HEIGHT * _FINE - scale * float(point[1]),
+        )
+
+    for k in range(math.ceil(2 * (middle - across)), math.floor(2 * (middle + across)) + 1):
+        x, y = place(np.array([0.5 * k, 0.0]))
+        draw.line((x, y, x, y + 24), fill=_LINE, width=4 if k == 0 else 2)
+    _, ground = place(np.zeros(2))
+    draw.line((0, ground, WIDTH * _FINE, ground), fill=_LINE, width=4)
+    if len(path) > 1:
+        draw.line([place(point) for point in path[-_RECENT:]], fill=_PATH, width=4, joint="curve")
+    for limb, colour in zip(limbs, (_SOFT, *_RODS), strict=True):
+        for a, b in pairwise(limb):
+            draw.line((*place(a), *place(b)), fill=colour, width=14)
+        for point in limb:
+            x, y = place(point)
+            draw.ellipse((x - 7, y - 7, x + 7, y + 7), fill=colour)
     return _finished(image, draw, seconds)
 
 

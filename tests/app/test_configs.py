@@ -95,6 +95,7 @@ BESIDE = {
         for name in ("pendubot", "double_pendulum", "cart_double_pendulum")
     },
     ("domain", "unicycle"): ["reward=quadratic", "+reward.state.roll=1"],
+    ("domain", "walker"): ["reward=quadratic", "+reward.state.torso=1"],
     ("domain", "linear"): ["reward=quadratic", "+reward.state.state_0=1"],
     ("domain", "gymnasium"): [
         "domain.env_id=Pendulum-v1",

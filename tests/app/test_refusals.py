@@ -149,7 +149,7 @@ REFUSED = [
     (["seeds=1000000000"], r"seeds=1000000000: takes about .* GiB of memory, .* are free"),
     (
         ["domain=foo"],
-        r"domain=foo: expected one of bicycle, bicycle_change, .*cardea, .*, slalom, .*, unicycle$",
+        r"domain=foo: expected one of bicycle, bicycle_change, .*cardea, .*, slalom, .*, walker$",
     ),
     (["experiment=foo"], r"experiment=foo: expected one of bicycle, .*bicycle_paper"),
     (["model.features=foo"], r"model\.features=foo: expected one of identity, affine"),

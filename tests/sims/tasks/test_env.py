@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from sims.tasks.env import HeldTipEnv, PendulumSwingUpEnv, UnicycleEnv
+from sims.tasks.env import HeldTipEnv, PendulumSwingUpEnv, UnicycleEnv, WalkerEnv
 
 TASKS = ["CartPoleSwingUp", "PendulumSwingUp", "Pendubot", "DoublePendulum", "CartDoublePendulum"]
 TASKS += ["StopPendulum"]
@@ -66,3 +66,28 @@ def test_the_reward_of_a_unicycle_is_of_its_height() -> None:
     tilted[0] = math.pi / 2
     reward = env.reward(np.zeros(10), np.zeros(2), tilted)
     assert reward == pytest.approx(math.exp(-(1.035**2)))
+
+
+def test_a_walker_slips() -> None:
+    env = gymnasium.make("edtorch/Walker-v0", render_mode="rgb_array", friction=0.05)
+    assert isinstance(env.unwrapped, WalkerEnv)
+    observation, info = env.reset(seed=0)
+    assert observation.shape == (13,) and not observation[10:].any()
+    assert np.asarray(env.action_space.high).tolist() == [25.0, 150.0, 150.0, 25.0]  # type: ignore[attr-defined]
+    _, _, terminated, truncated, info = env.step(np.zeros(4))
+    assert terminated and not truncated and info["outcome"] == "FAILED"
+    assert info["measures"]["steps"] == info["measures"]["distance_m"] == 0
+    assert np.asarray(env.render()).shape == (270, 480, 3)
+
+
+def test_the_reward_of_a_walker_is_how_far_its_hip_goes() -> None:
+    env, place = WalkerEnv(foot=False), np.zeros(10)
+    place[[0, 2]], place[[1, 3]] = (0.2, -0.1), (1.0, 2.0)
+    ahead = place.copy()
+    ahead[[0, 2]] += 0.01 * place[[1, 3]]
+
+    def hip(seen: np.ndarray) -> float:
+        return 0.4 * (math.sin(seen[0]) + math.sin(seen[2]))
+
+    reward = env.reward(place, np.zeros(4), place)
+    assert reward == pytest.approx(hip(ahead) - hip(place), rel=0.01)
