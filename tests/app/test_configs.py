@@ -41,7 +41,10 @@ SEARCHES = ("bicycle_random_search", "footnote1")
 PLANNED = [
     name
     for name in EXPERIMENTS
-    if any(word in name for word in ("swingup", "tracking", "pendulum", "pendubot", "unicycle"))
+    if any(
+        word in name
+        for word in ("swingup", "tracking", "pendulum", "pendubot", "unicycle", "in_trials")
+    )
 ]
 # What makes or needs files is run in test_offline.
 LEARNING = [
