@@ -37,10 +37,15 @@ CHEAP = (
 @pytest.mark.parametrize(
     "policy",
     [
-        ("search/policy=rbf", "search.policy.centres=8", "search.improver.belief=cubature"),
-        ("search/policy=mlp", "search.policy.hidden=[8]", "search.odd=true"),
+        pytest.param(
+            ("search/policy=rbf", "search.policy.centres=8", "search.improver.belief=cubature"),
+            marks=pytest.mark.long,
+            id="rbf",
+        ),
+        pytest.param(
+            ("search/policy=mlp", "search.policy.hidden=[8]", "search.odd=true"), id="mlp"
+        ),
     ],
-    ids=["rbf", "mlp"],
 )
 def test_other_policies_are_saved_and_tried_again(policy: tuple[str, ...], tmp_path: Path) -> None:
     overrides = (*CHEAP, *policy)
