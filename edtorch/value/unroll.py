@@ -154,8 +154,8 @@ def unroll(
     for the checks, if the reward does not say it.  Differentiable with respect to everything that
     the functions close over.
 
-    Raises the errors of ``edtorch.errors`` for inputs that are none (``edtorch.value.checks``), and
-    warns ``CovarianceFloored`` with the step from which on a covariance had to be floored.
+    Raises the errors of ``edtorch.errors`` for invalid inputs (``edtorch.value.checks``), and warns
+    ``CovarianceFloored`` with the first step at which a covariance had to be floored.
     """
     check_parts(
         start,

@@ -73,7 +73,8 @@ def test_a_walker_slips() -> None:
     assert isinstance(env.unwrapped, WalkerEnv)
     observation, info = env.reset(seed=0)
     assert observation.shape == (13,) and not observation[10:].any()
-    assert np.asarray(env.action_space.high).tolist() == [25.0, 150.0, 150.0, 25.0]  # type: ignore[attr-defined]
+    assert isinstance(env.action_space, gymnasium.spaces.Box)
+    assert env.action_space.high.tolist() == [25.0, 150.0, 150.0, 25.0]
     _, _, terminated, truncated, info = env.step(np.zeros(4))
     assert terminated and not truncated and info["outcome"] == "FAILED"
     assert info["measures"]["steps"] == info["measures"]["distance_m"] == 0
