@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from edtorch.model.chain import chain
 from edtorch.model.lift import Lift
 from edtorch.model.mechanism import Structure
 from edtorch.model.terms import Terms
@@ -29,6 +30,17 @@ class ImplicitModel:
         """The one structure, by name."""
         lift = Lift.of(told)
         return {"implicit": Structure.of(told, lift, Terms.implicit(told, lift, self.degree))}
+
+
+@dataclass(frozen=True)
+class ChainModel:
+    """Each acceleration linear in the others: a planar chain of links, whose angles are measured
+    from one direction in space (``edtorch.model.chain``)."""
+
+    def structures(self, told: Told) -> dict[str, Structure]:
+        """The one structure, by name.  Raises ValueError for what is no chain."""
+        lift = Lift.of(told)
+        return {"chain": Structure.of(told, lift, *chain(told, lift))}
 
 
 @dataclass(frozen=True)

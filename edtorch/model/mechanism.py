@@ -21,6 +21,7 @@ from torch import Tensor
 from edtorch.circle import wrapped
 from edtorch.model.lift import Lift
 from edtorch.model.terms import Terms
+from edtorch.model.ties import Ties
 from edtorch.model.told import Told
 
 _LEAST_VARIANCE = 1e-30
@@ -33,7 +34,8 @@ class Structure:
 
     learned: int64 ``[L]``, the components whose derivative is learned; source: int64 ``[n]``, the
     component whose value is the derivative of this one, -1 for none; ratio: float64 ``[n]``, the
-    scale of the source divided by that of the component, 0 where there is no source.
+    scale of the source divided by that of the component, 0 where there is no source.  ties: sums of
+    terms that have one weight, None where each term has its own.
     """
 
     lift: Lift
@@ -41,9 +43,10 @@ class Structure:
     learned: np.ndarray
     source: np.ndarray
     ratio: np.ndarray
+    ties: Ties | None = None
 
     @classmethod
-    def of(cls, told: Told, lift: Lift, terms: Terms) -> Structure:
+    def of(cls, told: Told, lift: Lift, terms: Terms, ties: Ties | None = None) -> Structure:
         """The structure that ``told`` describes."""
         source = np.array(told.rate, dtype=np.int64)
         unit = np.array(told.unit, dtype=np.float64)
@@ -53,6 +56,7 @@ class Structure:
             learned=np.array(told.learned, dtype=np.int64),
             source=source,
             ratio=np.where(source >= 0, unit[source] / unit, 0.0),
+            ties=ties,
         )
 
     @property
@@ -63,6 +67,8 @@ class Structure:
     @property
     def allowed(self) -> Tensor:
         """Bool ``[L, K]``: the weights that are not zero by definition."""
+        if self.ties is not None:
+            return torch.from_numpy((self.ties.allowed @ (self.ties.share != 0)) > 0)
         own = np.arange(len(self.learned))[:, None] == self.terms.derivative
         return torch.from_numpy(~own)
 

@@ -32,6 +32,7 @@ from torch import Tensor
 from edtorch.errors import FitError, NonFiniteError
 from edtorch.model.evidence import Evidence, Posterior, ard
 from edtorch.model.mechanism import Structure, accelerations, runge_kutta
+from edtorch.model.ties import tied
 from edtorch.types import Transition
 
 LEAST_ROWS = 3
@@ -70,6 +71,8 @@ def fit_paths(
     if passes < 1:
         raise ValueError(f"passes={passes}: expected at least 1")
     data = usable(transition)
+    if structure.ties is not None:
+        evidence = tied(evidence, structure.ties)
     change = structure.difference(data.next_state, data.state)
     y = change[:, torch.from_numpy(structure.learned)] / data.dt.unsqueeze(-1)
     first = _regressors(structure, _interpolated(structure, data, change, y), data.action)

@@ -84,6 +84,11 @@ class Terms:
         return _terms([(-1, factors) for factors in _monomials(lift, sorted(entries), degree)])
 
     @classmethod
+    def listed(cls, terms: Sequence[tuple[int, Factors]]) -> Terms:
+        """These, each with the index of its learned derivative, -1 for none."""
+        return _terms(terms)
+
+    @classmethod
     def of_state(
         cls, lift: Lift, components: Sequence[int], degree: int, *, odd: bool = False
     ) -> Terms:

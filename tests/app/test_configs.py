@@ -74,7 +74,7 @@ CARDEA = ["domain=cardea", "reward=goal", "fit=ridge"]
 SEARCH = ["experiment=pendulum_swingup"]
 # What an option needs beside it to be built.
 BESIDE = {
-    **{("model", name): SEARCH for name in ("auto", "implicit", "monomials", "products")},
+    **{("model", name): SEARCH for name in ("auto", "chain", "implicit", "monomials", "products")},
     ("fit", "paths"): SEARCH,
     ("reward", "lifted"): SEARCH,
     ("search", "planned"): SEARCH,

@@ -1,0 +1,72 @@
+"""The walker's mechanics as weights of ``edtorch.model.chain``."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from edtorch.model.families import ChainModel
+from edtorch.model.mechanism import Structure
+from edtorch.model.terms import Factors
+from edtorch.model.told import Told
+from sims.tasks.five_links import CENTRES, GRAVITY, INERTIAS, MASSES
+from sims.tasks.walker import Walker
+
+WALKER = Walker()
+TOLD = Told.of(WALKER.spec, ignored=("steps", "force_x", "force_y"))
+UNIT = np.array([quantity.scale for quantity in WALKER.spec.state])
+ACTION_UNIT = np.array([quantity.scale for quantity in WALKER.spec.action])
+D = CENTRES.T @ np.diag(MASSES) @ CENTRES + np.diag(INERTIAS)
+G = np.array(MASSES) @ CENTRES
+TORQUES = np.array([[1, 0, 0, 0], [-1, 1, 0, 0], [0, -1, -1, 0], [0, 0, 1, -1], [0, 0, 0, 1]])
+_RATE = 6.0
+"""rad/s: the unit of rates."""
+
+
+def structure() -> Structure:
+    """Of ``TOLD``."""
+    return ChainModel().structures(TOLD)["chain"]
+
+
+def placed(terms: dict[tuple[int, Factors], int], at: list[int], i: int, j: int) -> list[int]:
+    """The places of the two terms of cos(q_i - q_j) f_j."""
+    return [terms[j, tuple(sorted((at[i] + k, at[j] + k)))] for k in (1, 0)]
+
+
+def places(built: Structure) -> dict[tuple[int, Factors], int]:
+    """Of the terms, by derivative and factors."""
+    return {
+        (int(j), tuple(int(k) for k in row if k)): place
+        for place, (j, row) in enumerate(
+            zip(built.terms.derivative, built.terms.factors, strict=True)
+        )
+    }
+
+
+def true_weight(built: Structure) -> Tensor:
+    """Weights ``[5, K]`` that are ``sims.tasks.five_links`` exactly, scaled units."""
+    terms, at = places(built), [int(built.lift.at[2 * i]) for i in range(5)]
+    rates = [int(built.lift.at[2 * i + 1]) for i in range(5)]
+    weight = torch.zeros(5, built.terms.count, dtype=torch.float64)
+    for i in range(5):
+        for j in range(5):
+            if i == j:
+                continue
+            share = D[i, j] / D[i, i]
+            weight[i, placed(terms, at, i, j)] = -share
+            for sign, first, second in ((-1, at[i], at[j] + 1), (1, at[i] + 1, at[j])):
+                key = (-1, tuple(sorted((first, second, rates[j], rates[j]))))
+                weight[i, terms[key]] = sign * share * _RATE
+        weight[i, terms[-1, (at[i],)]] = GRAVITY * G[i] / D[i, i] / _RATE
+        for k in range(4):
+            column = terms[-1, (built.lift.action_at + k,)]
+            weight[i, column] = TORQUES[i, k] * ACTION_UNIT[k] / D[i, i] / _RATE
+    return weight
+
+
+def drawn(count: int, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """States ``[count, 13]`` and actions ``[count, 4]``, scaled."""
+    generator = torch.Generator().manual_seed(seed)
+    state = torch.randn(count, 13, generator=generator, dtype=torch.float64)
+    return 0.5 * state, 0.5 * torch.randn(count, 4, generator=generator, dtype=torch.float64)
