@@ -6,8 +6,19 @@ import torch
 from torch import Tensor
 
 
+class Circle:
+    """period ``[n]``: of each component of a state, 0 for what does not wrap.  What its differences
+    are divided by is found once: a policy asks at every tick."""
+
+    def __init__(self, period: Tensor) -> None:
+        self.period = period
+        self._turn = torch.where(period > 0, period, torch.inf)
+
+    def wrapped(self, difference: Tensor) -> Tensor:
+        """Differences of states ``[*batch, n]``, those of angles within half a turn."""
+        return difference - self.period * torch.round(difference / self._turn)
+
+
 def wrapped(difference: Tensor, period: Tensor) -> Tensor:
-    """Differences of states ``[*batch, n]``, those of angles within half a turn; period ``[n]``: of
-    each component, 0 for what does not wrap."""
-    turns = torch.round(difference / torch.where(period > 0, period, torch.inf))
-    return difference - period * turns
+    """``Circle.wrapped`` of a period ``[n]``."""
+    return Circle(period).wrapped(difference)

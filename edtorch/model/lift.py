@@ -77,10 +77,10 @@ class Lift:
     def __call__(self, state: Tensor, action: Tensor) -> Tensor:
         """A ``[*batch, size]`` of state ``[*batch, n]`` and action ``[*batch, m]``."""
         angles, unit, order = self._places
-        radians = state[..., angles] * unit
+        radians = state.index_select(-1, angles) * unit
         one = torch.ones_like(state[..., :1])
         found = torch.cat([one, state, action, radians.sin(), radians.cos()], dim=-1)
-        return found[..., order]
+        return found.index_select(-1, order)
 
     def jacobian(self, state: Tensor, action: Tensor) -> Tensor:
         """d A / d (s, u), ``[*batch, size, n + m]``."""

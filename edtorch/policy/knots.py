@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from edtorch.circle import wrapped
+from edtorch.circle import Circle
 from edtorch.linalg import matvec
 from edtorch.policy.squash import Squash
 from edtorch.types import Parameters
@@ -40,13 +40,13 @@ class KnotPolicy:
         if not width >= 0:
             raise ValueError(f"width={width}: expected a number >= 0")
         self.knots, self.squash, self.width = knots, squash, width
-        self.period, self.metric = period, metric
+        self.circle, self.metric = Circle(period), metric
 
     def initial(self, seeds: Sequence[int]) -> Parameters:
         """Knots at zero without any action."""
         B, k = len(seeds), self.knots
-        n, m = len(self.period), len(self.squash.half)
-        like = self.period
+        n, m = len(self.circle.period), len(self.squash.half)
+        like = self.circle.period
         return {
             "state": like.new_zeros(B, k, n),
             "raw": like.new_zeros(B, k, m),
@@ -64,7 +64,7 @@ class KnotPolicy:
 
     def action(self, parameters: Parameters, state: Tensor, /) -> Tensor:
         """``[*more, B, n] -> [*more, B, m]``."""
-        away = wrapped(state.unsqueeze(-2) - parameters["state"], self.period)
+        away = self.circle.wrapped(state.unsqueeze(-2) - parameters["state"])
         phi = self.features(parameters, away).unsqueeze(-1)
         local = parameters["raw"] + matvec(parameters["gain"], away)
         return self.squash((phi * local).sum(-2))

@@ -50,7 +50,7 @@ class RadialPolicy(BoundedPolicy):
         if not width > 0:
             raise ValueError(f"width={width}: expected a number > 0")
         super().__init__(squash)
-        self.lift, self.entries = lift, lift.entries_of(components)
+        self.lift, self.entries = lift, torch.tensor(lift.entries_of(components))
         self.centres, self.width = centres, width
         self._shape = _SHAPES[normalised]
 
@@ -65,7 +65,7 @@ class RadialPolicy(BoundedPolicy):
 
     def features(self, parameters: Parameters, state: Tensor) -> Tensor:
         """phi: ``[*more, B, n] -> [*more, B, k]``."""
-        x = self.lift.of_state(state)[..., self.entries].unsqueeze(-2)
+        x = self.lift.of_state(state).index_select(-1, self.entries).unsqueeze(-2)
         away = (x - parameters["centre"]) * (-parameters["log_width"]).exp().unsqueeze(-2)
         return self._shape(-0.5 * away.square().sum(-1))
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from edtorch.circle import wrapped
+from edtorch.circle import Circle
 from edtorch.linalg import matvec
 from edtorch.policy.squash import Squash
 from edtorch.types import Parameters
@@ -19,7 +19,7 @@ class TimedPolicy:
     parameters: ``state`` ``[B, H + 1, n]``, ``raw`` z ``[B, H, m]``, ``gain`` K ``[B, H, m, n]``,
     scaled.  It takes states with the number of the tick appended ``[*more, B, n + 1]``
     (``edtorch.policy.clock.EpisodeClock``); after the horizon the last gain stays.  period
-    ``[n]``: of angles, see ``edtorch.circle.wrapped``.
+    ``[n]``: of angles, see ``edtorch.circle.Circle``.
     """
 
     label = "TimedPolicy"
@@ -29,13 +29,13 @@ class TimedPolicy:
             raise ValueError(f"horizon={horizon}: expected at least one tick")
         self.horizon = horizon
         self.squash = squash
-        self.period = period
+        self.circle = Circle(period)
 
     def initial(self, seeds: Sequence[int]) -> Parameters:
         """A plan that stays at zero without any action, one for each seed."""
         B, H = len(seeds), self.horizon
-        n, m = len(self.period), len(self.squash.half)
-        like = self.period
+        n, m = len(self.circle.period), len(self.squash.half)
+        like = self.circle.period
         return {
             "state": like.new_zeros(B, H + 1, n),
             "raw": like.new_zeros(B, H, m),
@@ -47,7 +47,7 @@ class TimedPolicy:
         state, ticks = state[..., :-1], state[..., -1]
         tick = ticks.long().clamp(0, self.horizon - 1)
         row = torch.arange(tick.shape[-1], device=tick.device)
-        away = wrapped(state - parameters["state"][row, tick], self.period)
+        away = self.circle.wrapped(state - parameters["state"][row, tick])
         return self.squash(
             parameters["raw"][row, tick] + matvec(parameters["gain"][row, tick], away)
         )

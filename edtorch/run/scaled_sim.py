@@ -118,7 +118,7 @@ class World:
         """The scaled action as it acts: within its bounds where the domain clips."""
         if not self.spec.clip_action:
             return action
-        return torch.minimum(torch.maximum(action, self._low), self._high)
+        return torch.clamp(action, self._low, self._high)
 
     def step(
         self, state: Features, action: Actions, uniform: Float[Tensor, "*batch u"]
