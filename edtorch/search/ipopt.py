@@ -4,6 +4,7 @@ Biegler 2006), for systems on which shooting gets stuck."""
 from __future__ import annotations
 
 import importlib
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -65,6 +66,22 @@ def reach(
     held = np.tile(line.state[-1], (horizon - ticks, 1))
     moved = values[: (ticks + 1) * n].reshape(ticks + 1, n)
     return Plan(np.concatenate((moved, held)), raw, np.zeros_like(line.gain), np.inf)
+
+
+def reach_each(
+    model: TickModel, lines: Sequence[Plan], ticks: int, limit: int = 150
+) -> tuple[list[Plan], tuple[str, ...]]:
+    """``reach`` from each line, the line itself where IPOPT finds no path, and a note that says how
+    many those are."""
+    paths = [reach(model, line, ticks, limit=limit) for line in lines]
+    starts = [line if path is None else path for line, path in zip(lines, paths, strict=True)]
+    missed = sum(path is None for path in paths)
+    if not missed:
+        return starts, ()
+    return starts, (
+        f"IPOPT found no path to the target from {missed} of {len(lines)} straight lines: planned"
+        " from those lines themselves",
+    )
 
 
 def coarse(model: TickModel) -> TickModel:

@@ -18,7 +18,7 @@ from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.search.choice import PlanChoice, choose, futures_of
 from edtorch.search.execution import Execution
-from edtorch.search.ipopt import reach
+from edtorch.search.ipopt import reach_each
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.noise_aware import noise_aware_gains
 from edtorch.search.plan import Cost, Plan, ramp
@@ -41,7 +41,7 @@ class PlannedSearch(RandomFirst):
     """Plans from the mean start, by single shooting from ``starts`` sinusoidal actions and the last
     plans, and by multiple shooting from ``straight`` lines to the target and from ``programmed``
     paths to it (``edtorch.search.ipopt``, no more than there are choices of the directions in which
-    the angles turn; from a line itself where there is no path).
+    the angles turn; from a line itself, with a note, where there is no path).
 
     policy: what executes a plan, ``timed`` (``edtorch.search.timed``) or ``stationary``, which
     goes on after it (``edtorch.search.stationary``).  horizon: seconds of a plan, None: of
@@ -123,7 +123,7 @@ class PlannedSearch(RandomFirst):
         cost = whole.part(0, horizon)
         starts = problem.starts(seed)
         generator = numpy_generator(seed, Purpose.PLAN, trial)
-        plans, dropped = self._plans(problem, model, cost, starts, knowledge, generator)
+        plans, dropped, notes = self._plans(problem, model, cost, starts, knowledge, generator)
         if not plans:
             raise NoPlan(f"none of {dropped} starts led to a finite plan")
         noise = problem.noise_of(learned)
@@ -154,7 +154,7 @@ class PlannedSearch(RandomFirst):
                 "largest_gain": float(np.abs(plan.gain).max()),
                 "noise_aware": float(self._is_noise_aware(chosen.place, len(plans))),
             },
-            learned.notes + self._said(problem, structure, plan, chosen),
+            learned.notes + notes + self._said(problem, structure, plan, chosen),
         )
 
     def _plans(
@@ -165,8 +165,8 @@ class PlannedSearch(RandomFirst):
         starts: Tensor,
         knowledge: Knowledge,
         generator: np.random.Generator,
-    ) -> tuple[list[Plan], int]:
-        """Finite plans, the cheapest first, and how many starts failed."""
+    ) -> tuple[list[Plan], int, tuple[str, ...]]:
+        """Finite plans, the cheapest first, how many starts failed, and notes."""
         start, m = mean_start(starts, problem.period).numpy(), len(problem.half)
         horizon, first = self._ticks(problem)
         goal, dt = problem.goal[: horizon + 1].numpy(), problem.dt
@@ -175,12 +175,13 @@ class PlannedSearch(RandomFirst):
         straight: list[Plan] = []
         while len(straight) < self.straight:
             straight += lines(model.structure, start, goal[first], first, m, dt, generator)
-        linked = straight[: self.straight]
+        linked, notes = straight[: self.straight], ()
         if self.programmed:
             direct = lines(model.structure, start, goal[first], first, m, dt, generator, wave=0.0)
             arrival = max(1, first - round(REST / dt))
-            linked += [reach(model, line, arrival) or line for line in direct[: self.programmed]]
-        return plan_through(model, cost, first, swings, linked, goal, self.keep)
+            paths, notes = reach_each(model, direct[: self.programmed], arrival)
+            linked += paths
+        return *plan_through(model, cost, first, swings, linked, goal, self.keep), notes
 
     def _ticks(self, problem: SearchProblem) -> tuple[int, int]:
         """Of the horizon, and of the first segment.  Raises ValueError."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edtorch.errors import Unavailable
-from edtorch.search.ipopt import coarse, reach, tick_function
+from edtorch.search.ipopt import coarse, reach, reach_each, tick_function
 from edtorch.search.plan import Plan
 from edtorch.search.shooting import connect
 from edtorch.search.starts import lines
@@ -78,3 +78,12 @@ def test_what_cannot_be_reached_gives_none() -> None:
     pytest.importorskip("casadi")
     model = swing_up()
     assert reach(model, _line(model), 4, limit=20) is None
+
+
+def test_what_starts_from_its_line_is_said() -> None:
+    pytest.importorskip("casadi")
+    model = swing_up()
+    line = _line(model)
+    (start,), (note,) = reach_each(model, [line], 4, limit=20)
+    assert start is line
+    assert "IPOPT found no path to the target from 1 of 1 straight lines" in note
