@@ -280,6 +280,13 @@ def joined(xp: Namespace, *functions: Function) -> Function:
     return xp.jit(lambda *s: (*a(*s), *b(*s), *c(*s), *d(*s)))
 
 
+def first_over(xp: Namespace, count: int) -> Function:
+    """The first ``count`` of some rows."""
+    if not count:
+        return xp.jit(lambda s: ())
+    return joined(xp, *(xp.jit(lambda s, i=i: (s[i],)) for i in range(count)))
+
+
 def unstacked(tensor: Tensor) -> tuple[Tensor, ...]:
     """The components ``[*batch]`` of ``[*batch, k]``.
 

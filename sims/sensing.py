@@ -29,7 +29,8 @@ from sims.base import (
     Spec,
     baselines_of,
 )
-from sims.normal import normal_quantile
+from sims.normal import normal_quantile, normal_quantile_over
+from sims.rows import Function, Namespace, NoRows, Rows, first_over, joined
 
 
 @dataclass(frozen=True)
@@ -165,6 +166,81 @@ class Sensed:
     def measures(self, start: Tensor, final: Tensor, seconds: Tensor) -> dict[str, Tensor]:
         """Those of the sim."""
         return self.sim.measures(self._inner(start), self._inner(final), seconds)
+
+    def rows(self, xp: Namespace) -> Rows:
+        """Those of the sim, read without a delay.  Raises NoRows where there is one, or the sim has
+        none."""
+        offered = getattr(self.sim, "rows", None)
+        if offered is None:
+            raise NoRows(f"{type(self.sim).__name__} is not written over rows")
+        if self.delay:
+            raise NoRows("delayed readings")
+        inner: Rows = offered(xp)
+        spec, n, width = self.sim.spec, len(self.sim.spec.state), inner.width
+        move, begin, ended = xp.jit(inner.step), xp.jit(inner.start), xp.jit(inner.outcome)
+        body, seen = first_over(xp, width), xp.jit(inner.observe)
+        step_draws = first_over(xp, spec.disturbance_dim)
+        start_draws = first_over(xp, spec.reset_dim)
+        after_step = self._reading_over(xp, spec.disturbance_dim)
+        after_start = self._reading_over(xp, spec.reset_dim)
+        took = xp.jit(lambda s, c: 1.0)
+        if inner.stepped is not None:
+            happened = xp.jit(inner.stepped)
+            took = xp.jit(lambda s, c: xp.as_number(happened(s, c)))
+
+        def step(s, action, u, c):
+            moved = move(body(s), action, step_draws(u), c)
+            return (*moved, *after_step(seen(moved, c), u), took(moved, c))
+
+        def start(s, u, c):
+            begun = begin(body(s), start_draws(u), c)
+            return (*begun, *after_start(seen(begun, c), u), 0.0)
+
+        born = xp.jit(inner.start if inner.birth is None else inner.birth)
+
+        def birth(u, c):
+            begun = born(start_draws(u), c)
+            return (*begun, *after_start(seen(begun, c), u), 0.0)
+
+        read = joined(xp, *(xp.jit(lambda s, c, i=i: (s[width + i],)) for i in range(n)))
+        return Rows(
+            width=width + n + 1,
+            step=step,
+            observe=read,
+            outcome=lambda s, c: ended(body(s), c),
+            start=start,
+            birth=None if inner.birth is None else birth,
+            stepped=lambda s, c: s[width + n] > 0.5,
+            constants=inner.constants,
+        )
+
+    def _reading_over(self, xp: Namespace, first: int) -> Function:
+        """``_sensed`` of all components over rows, from the uniforms from ``first`` on."""
+        quantile = normal_quantile_over(xp)
+
+        def read(quantity: Quantity, i: int) -> Function:
+            deviation, period = float(self.noise.get(quantity.name, 0.0)), quantity.period
+            low, high = float(quantity.low), float(quantity.high)
+            if deviation == 0:
+                return xp.jit(lambda seen, u: (seen[i],))
+            if period:
+
+                @xp.jit
+                def wrapped(seen, u):
+                    value = seen[i] + deviation * quantile(u[first + i])
+                    value = value - period * xp.floor(value / period + 0.5)
+                    return (xp.maximum(xp.minimum(value, period / 2), -period / 2),)
+
+                return wrapped
+
+            @xp.jit
+            def bounded(seen, u):
+                value = seen[i] + deviation * quantile(u[first + i])
+                return (xp.maximum(xp.minimum(value, high), low),)
+
+            return bounded
+
+        return joined(xp, *(read(q, i) for i, q in enumerate(self.sim.spec.state)))
 
 
 def _sensed(value: Tensor, draw: Tensor, deviation: float, quantity: Quantity) -> Tensor:

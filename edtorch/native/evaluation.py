@@ -1,4 +1,4 @@
-"""Fresh episodes of finished linear policies as compiled loops.
+"""Fresh episodes of finished policies, linear ones or those by a phase, as compiled loops.
 
 ``evaluate_policies`` is ``edtorch.run.evaluation.evaluate`` with a choice.  Compiled episodes
 differ from the others by rounding.
@@ -15,14 +15,17 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from edtorch.compiled import load_kernel
 from edtorch.errors import Unavailable
 from edtorch.learner.learner import Actor
 from edtorch.native.choice import Mode
+from edtorch.native.phase import add_phase
 from edtorch.native.plan import KernelPlan, NoKernel, add_policy, add_world, begun, place
 from edtorch.native.source import source_of
 from edtorch.policy.memory import EpisodeMemory
+from edtorch.policy.phase import PhasePolicy
 from edtorch.run import evaluation
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import starts
@@ -95,11 +98,12 @@ class Rides:
             raise NoKernel("estimates of the state")
         self._world = world
         self._plan = plan = _plan(policy, parameters, world)
-        self._parameters = {"limit": torch.zeros(len(parameters["weight"]), 0)} | parameters
+        self._own = _own(policy, parameters)
+        self._limit = parameters.get("limit", torch.zeros(len(self._own), 0))
         rows = plan.rows
         assert rows is not None
         c, width = plan.constants, rows.width
-        kept = {"THETA": c["M"] * c["KP"], "LIMIT": c["N"], "WORLD": width}
+        kept = {"THETA": c["OWN"], "LIMIT": c["N"], "WORLD": width}
         self._kept = place(plan, kept | {"OBSERVATION": c["N"], "EARNED": 1})
         self._counters = place(plan, dict.fromkeys(("ACTIVE", "BEGUN", "AGE"), 1))
         flags = dict.fromkeys(("VALID", "LIVES", "OUTCOME", "DEVIATE"), 1)
@@ -156,8 +160,8 @@ class Rides:
         uniform, _ = draw_block(keys, drawing, 0, 0)
         start = starts(self._world, seeds, 1, torch.from_numpy(uniform[:, 0]))
         for name, values in (
-            ("THETA", self._parameters["weight"][policies]),
-            ("LIMIT", self._parameters["limit"][policies]),
+            ("THETA", self._own[policies]),
+            ("LIMIT", self._limit[policies]),
             ("WORLD", start),
             ("OBSERVATION", self._world.observe(start)),
         ):
@@ -176,14 +180,27 @@ class Rides:
         return start.numpy(), z[:, world : world + start.shape[-1]], ends, z[:, earned]
 
 
-def _plan(policy: Actor, parameters: Parameters, world: World) -> KernelPlan:
+def _plan(policy: Any, parameters: Parameters, world: World) -> KernelPlan:
     plan = begun(world)
-    add_policy(plan, policy)
+    known = {"weight", "limit"}
+    if getattr(policy, "kernel", None) == PhasePolicy.kernel:
+        add_phase(plan, policy)
+        known = set(policy.initial([0]))
+    else:
+        add_policy(plan, policy)
+        plan.chosen["acts"] = "act"
+        plan.constants["OWN"] = plan.constants["M"] * plan.constants["KP"]
     add_world(plan, world)
-    unknown = set(parameters) - {"weight", "limit"}
+    unknown = set(parameters) - known
     if unknown:
         raise NoKernel(f"policies with {', '.join(sorted(unknown))}")
     assert plan.rows is not None
     plan.constants |= {"LIMITED": int("limit" in parameters), "EXPLORES": 0, "ANNEALED": 0}
     plan.constants |= {"WIDTH": plan.rows.width, "DEVIATION": 0}
     return plan
+
+
+def _own(policy: Any, parameters: Parameters) -> Tensor:
+    """``[S, OWN]``."""
+    vector = getattr(policy, "vector", None)
+    return parameters["weight"].flatten(1) if vector is None else vector(parameters)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import edtorch.search.kernels
 import sims.rows
 from edtorch.compiled import ModuleSource
 from edtorch.native.fingerprint import fingerprint
@@ -18,8 +19,10 @@ from sims.base import Outcome
 FOLDER = Path(__file__).parent / "kernels"
 _TEXTS = (
     *("learn.py", "improve.py", "live.py", "ticks.py", "rides.py", "apart.py"),
-    *("hashing.py", "episodes.py", "sarsa.py"),
+    *("hashing.py", "episodes.py", "sarsa.py", "phase.py"),
 )
+_PLANNER = Path(edtorch.search.kernels.__file__).parent
+"""Where the text is of what planners' kernels compute, too."""
 _ROWS_BY = tuple(
     Path(sims.rows.__file__).with_name(name) for name in ("compiled_rows.py", "elementary.py")
 )
@@ -62,6 +65,7 @@ def _module_text(constants: Mapping[str, object], chosen: Mapping[str, str]) -> 
     lines += [f"{outcome.name} = {int(outcome)}" for outcome in Outcome]
     lines += [f"{name} = {value!r}" for name, value in sorted(constants.items())]
     lines += [(FOLDER / name).read_text(encoding="utf-8") for name in _TEXTS]
+    lines.append((_PLANNER / "phase.py").read_text(encoding="utf-8"))
     lines += [f"{role} = {function}" for role, function in sorted(chosen.items())]
     return "\n".join(lines) + "\n"
 

@@ -41,11 +41,6 @@ def readings_over(xp: Namespace, quantities: Sequence[Quantity]) -> Function:
     return joined(xp, *(seen(quantity.period, i) for i, quantity in enumerate(quantities)))
 
 
-def first_over(xp: Namespace, count: int) -> Function:
-    """The first ``count`` components of a state."""
-    return joined(xp, *(xp.jit(lambda s, i=i: (s[i],)) for i in range(count)))
-
-
 def is_before(tick: Any, seconds: float, dt: float) -> Any:
     """Whether the tick is more than half a tick before ``seconds``: the product is rounded."""
     return tick * dt < seconds - dt / 2

@@ -12,9 +12,8 @@ import torch
 from torch import Tensor
 
 from sims.base import Measure, Outcome, Quantity, Spec
-from sims.rows import TORCH, Function, Namespace, Rows, RowSim, stacked, unstacked
+from sims.rows import TORCH, Function, Namespace, Rows, RowSim, first_over, stacked, unstacked
 from sims.tasks.episode import (
-    first_over,
     first_tick,
     is_before,
     normal_start_over,

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from sims.base import Measure, Outcome, Quantity, Spec, Words, spec_index
-from sims.rows import Function, Namespace, Rows, RowSim
-from sims.tasks.episode import first_over, is_before, normal_start_over, readings_over
+from sims.rows import Function, Namespace, Rows, RowSim, first_over
+from sims.tasks.episode import is_before, normal_start_over, readings_over
 from sims.tasks.integrate import runge_kutta_over
 
 _RUNNING, _FAILED, _SUCCEEDED = map(int, (Outcome.RUNNING, Outcome.FAILED, Outcome.SUCCEEDED))

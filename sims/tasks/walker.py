@@ -9,8 +9,8 @@ import numpy as np
 from torch import Tensor
 
 from sims.base import Measure, Outcome, Quantity, Spec, Words
-from sims.rows import Function, Namespace, Rows, RowSim
-from sims.tasks.episode import first_over, is_before, normal_start_over, readings_over
+from sims.rows import Function, Namespace, Rows, RowSim, first_over
+from sims.tasks.episode import is_before, normal_start_over, readings_over
 from sims.tasks.events import events_over
 from sims.tasks.five_links import (
     SHANK,

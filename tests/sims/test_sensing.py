@@ -14,6 +14,7 @@ from sims.base import Controller, Fallible, Invertible, Lasting, Measured, Pictu
 from sims.bicycle import Bicycle
 from sims.bicycle.slalom import Slalom
 from sims.linear import LinearSystem
+from sims.rows import NoRows, rows_of, stacked, unstacked
 from sims.sensing import Sensed
 
 
@@ -138,3 +139,45 @@ def test_baselines_under_their_former_name() -> None:
     sensed = Sensed(sim)
     state = sensed.initial(uniform(3, sensed.spec.reset_dim))
     assert baselines_of(sensed)["nothing"](state).tolist() == [[0], [0], [0]]
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [LinearSystem([[1.0]], [[1.0]], noise=0.1), Bicycle(spread=0.2, start_lean=0.1)],
+    ids=["linear", "bicycle"],
+)
+def test_readings_without_a_delay_have_rows(inner: Any) -> None:
+    """The same numbers as the tensor functions: noise of plain, bounded and periodic components."""
+    noise = {q.name: 0.1 for q in inner.spec.state if q.name not in inner.spec.goal}
+    sim = Sensed(inner, noise)
+    spec, rows = sim.spec, rows_of(sim)
+    start = sim.initial(uniform(9, spec.reset_dim))
+    action, draws = uniform(9, len(spec.action), seed=1), uniform(9, spec.disturbance_dim, seed=2)
+    after, c = sim.step(start, action, draws), rows.constants
+    moved = stacked(rows.step(unstacked(start), unstacked(action), unstacked(draws), c), start)
+    assert torch.equal(moved, after)
+    again = sim.restart(after, torch.ones(9, dtype=torch.bool), uniform(9, spec.reset_dim, seed=3))
+    begun = rows.start(unstacked(after), unstacked(uniform(9, spec.reset_dim, seed=3)), c)
+    assert torch.equal(stacked(begun, start), again)
+    assert torch.equal(stacked(rows.observe(unstacked(after), c), after), sim.observe(after))
+    assert rows.stepped is not None and bool(rows.stepped(unstacked(after), c).all())
+
+
+def test_what_has_no_rows_says_why() -> None:
+    with pytest.raises(NoRows, match="delayed readings"):
+        rows_of(Sensed(LinearSystem([[1.0]], [[1.0]]), {}, 1))
+    with pytest.raises(NoRows, match="Plain is not written over rows"):
+        rows_of(Sensed(Plain()))
+
+
+class Plain:
+    """Tensor functions alone."""
+
+    def __init__(self) -> None:
+        self._sim = LinearSystem([[1.0]], [[1.0]])
+        self.spec = self._sim.spec
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("initial", "restart", "step", "observe", "outcome", "measures"):
+            raise AttributeError(name)
+        return getattr(self._sim, name)

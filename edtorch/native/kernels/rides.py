@@ -11,7 +11,7 @@ def rides(z, k, s, ends, number, constants, uniform, rows, row, clock, count):
         for done in range(count):
             now = clock + done + 1
             # Nobody explores: the second time, the numbers are not looked at.
-            act(own, counted, s, number, drawn, row + done)
+            acts(own, counted, s, number, drawn, row + done)
             live(own, counted, s, number, constants, drawn, now, row + done)
             advance(own, s)
             if s[OUTCOME] != RUNNING:
