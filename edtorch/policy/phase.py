@@ -94,9 +94,9 @@ class PhaseForm:
 
 
 class PhasePolicy(BoundedPolicy):
-    """z = drive (stiffness (target - joint) - damping rate of the joint), joints and phase linear in
-    the positions, target = sum_k binomial_k tau^k (1 - tau)^(d - k) point_k + feedback * rate of
-    the phase variable, tau = (phase variable - start) / width within [0, 1].
+    """z = drive (stiffness (target - joint) - damping rate of the joint), where joints, phase are
+    linear in the positions; target = sum_k binomial_k tau^k (1 - tau)^(d - k) point_k + feedback
+    times the rate of the phase variable; tau = (phase variable - start) / width, within [0, 1].
 
     parameters: ``phase`` ``[B, 2]`` (start, width), the points of each joint ``[B, d + 1]`` under
     its name, ``feedback`` ``[B, F]`` of the joints that have it; in the units of ``unit`` ``[n]``,
@@ -173,7 +173,7 @@ class PhasePolicy(BoundedPolicy):
         spread = [gait.spread] * 2 + [j.spread for j in joints for _ in j.points]
         middle += [float(j.feedback or 0.0) for j in fed]
         spread += [j.spread_feedback for j in fed]
-        return torch.tensor(middle).double(), torch.tensor(spread).double()
+        return torch.tensor(middle, dtype=torch.float64), torch.tensor(spread, dtype=torch.float64)
 
     def vector(self, parameters: Parameters) -> Tensor:
         """All of them, ``[B, p]``."""

@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
 import pytest
 import torch
 
 from edtorch.model.features import Affine, Identity
+from edtorch.model.told import Told
 from edtorch.native import evaluation
 from edtorch.native.evaluation import Mode, Rides, evaluate_policies
 from edtorch.native.plan import NoKernel
+from edtorch.policy.phase import Followed, PhaseGait, PhasePolicy
 from edtorch.policy.policies import LinearPolicy, SquashedPolicy
+from edtorch.policy.squash import Squash
 from edtorch.rewards import QuadraticReward
 from edtorch.run.episodes import Episode
 from edtorch.run.random import Purpose
@@ -22,6 +26,7 @@ from sims.base import Outcome
 from sims.bicycle import Bicycle
 from sims.linear import LinearSystem
 from sims.sensing import Sensed
+from sims.tasks.pendulum_swing_up import PendulumSwingUp
 from tests.systems import f64
 
 SEEDS = [3, 4, 8]
@@ -106,10 +111,35 @@ def test_compiled_episodes_are_the_same_episodes(
     assert ridden("on", count=0) == [[], [], []]
 
 
+@pytest.mark.oracle
+def test_compiled_episodes_of_policies_by_a_phase_are_the_same() -> None:
+    """With errors of the readings, which are compiled, too."""
+    sim = Sensed(PendulumSwingUp(), {"angle": 0.01, "rate": 0.02})
+    world, known = World(sim), Told.of(sim.spec)
+    gait = PhaseGait(
+        phase={"angle": 1.0},
+        start=-1.0,
+        width=3.0,
+        spread=0.3,
+        joints={
+            "arm": Followed(
+                {"angle": 1.0}, {"torque": 1.0}, 2.0, 0.3, [2.0, -1.0, 3.0], 0.5, 0.1, 0.1
+            )
+        },
+    )
+    squash = Squash(world.action_middle, world.action_half_range)
+    policy = PhasePolicy(gait, known.names, known.unit, known.rate, known.actions, squash)
+    parameters = policy.random(3, 1.0, np.random.default_rng(0))
+    found = evaluate_policies(policy, parameters, world, SEEDS, 4, native="on")
+    slow = evaluate_policies(policy, parameters, world, SEEDS, 4, native="off")
+    assert told(found) == told(slow)
+    torch.testing.assert_close(figures(found), figures(slow), rtol=1e-9, atol=1e-9, equal_nan=True)
+
+
 def test_the_part_without_a_kernel_is_named() -> None:
     policy, parameters, world = linear()
     squashed = SquashedPolicy(2, 1, Affine(2))
-    sensed = World(Sensed(LinearSystem([[0.5]], [[1.0]]), {"state_0": 0.1}, 0))
+    sensed = World(Sensed(LinearSystem([[0.5]], [[1.0]]), {"state_0": 0.1}, 1))
     one = LinearPolicy(1, 1, Identity(1))
     for part, arguments in (
         ("policy", (squashed, parameters, world)),
