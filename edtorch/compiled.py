@@ -16,7 +16,7 @@ import platform
 import shutil
 import sys
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,9 +125,9 @@ def _compiled(
     if folder is not None and not _is_whole(folder):
         _clear(folder)
     if folder is None or not (folder / "sums").exists():
-        logger.info("compiling %s (some 10 s, once)...", what)
+        logger.info("compiling %s (once; up to two minutes)...", what)
     try:
-        module = _module(source, folder)
+        module = _module(source, folder, signatures)
         functions = [module.__dict__[name] for name in signatures]
         for function, signature in zip(functions, signatures.values(), strict=True):
             function.compile(signature)
@@ -169,7 +169,11 @@ def _clear(folder: Path) -> None:
             path.unlink()
 
 
-def _module(source: ModuleSource, folder: Path | None) -> types.ModuleType:
+def _module(
+    source: ModuleSource, folder: Path | None, entries: Collection[str]
+) -> types.ModuleType:
+    """Only ``entries`` can be called from Python: the wrappers of the others would take as long to
+    compile as they do."""
     name = source.name
     if name in sys.modules:
         return sys.modules[name]
@@ -177,7 +181,14 @@ def _module(source: ModuleSource, folder: Path | None) -> types.ModuleType:
     module = types.ModuleType(name)
     module.__dict__.update(source.parts)
     module.__dict__["inner"] = jit(error_model="numpy", forceinline=True)
-    module.__dict__["outer"] = jit(error_model="numpy", nogil=True, cache=folder is not None)
+
+    def outer(function: Callable[..., Any]) -> Any:
+        inside = function.__name__ not in entries
+        options = {"no_cpython_wrapper": inside, "no_cfunc_wrapper": True}
+        kept = folder is not None
+        return jit(error_model="numpy", nogil=True, cache=kept, **options)(function)
+
+    module.__dict__["outer"] = outer
     file = Path(f"<{name}>")
     if folder is not None:
         file = folder / f"{name}.py"

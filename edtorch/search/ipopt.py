@@ -104,7 +104,7 @@ def casadi_module() -> Any:
 
 def tick_function(casadi: Any, model: TickModel) -> Any:
     """The state one tick after s ``[n]`` under u ``[m]``, in parts of its bound, as an expression:
-    what ``kernels/mechanism.py`` computes."""
+    what the kernels compute, without stops."""
     n, m = len(model.structure.source), len(model.half)
     s, part = casadi.SX.sym("s", n), casadi.SX.sym("part", m)
     action = casadi.DM(model.middle) + casadi.DM(model.half) * part
@@ -120,7 +120,7 @@ def tick_function(casadi: Any, model: TickModel) -> Any:
 
 def _slope(casadi: Any, model: TickModel, s: Any, action: Any) -> Any:
     """ds/dt: (I - N) f = h for what is learned."""
-    (angle, at, unit, action_at), (parent, factor, node, derivative), motion = model.parts
+    (angle, at, unit, action_at), (parent, factor, node, derivative), motion, _ = model.parts
     learned, source, ratio = motion[:3]
     entry = [1.0] * (action_at + len(model.half))
     for i, first in enumerate(at):

@@ -14,8 +14,8 @@ from edtorch.compiled import ModuleSource, load_kernel
 
 _FOLDER = Path(__file__).parent / "kernels"
 _TEXTS = (
-    *("mechanism.py", "cost.py", "shooting.py", "noise_aware.py", "imagined.py"),
-    "lifted_policy.py",
+    *("mechanism.py", "stops.py", "tick.py", "cost.py", "shooting.py"),
+    *("noise_aware.py", "imagined.py", "lifted_policy.py"),
 )
 
 
@@ -30,14 +30,17 @@ def _entries() -> dict[str, tuple[object, ...]]:
     one, two, three = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))
     index = np.zeros(1, np.int64)
     lift = (np.zeros(1, np.bool_), index, one, 1)
-    model = (lift, (index, index, index, index), (index, index, one, 0.1, 1))
+    stops = (two, one, one, index, two, 1, 1.0)
+    model = (lift, (index, index, index, index), (index, index, one, 0.1, 1), stops)
     cost, bounds = (three, one, one, 0.1), (one, one)
     problem = (model, two, cost, bounds)
     settings = (0.1, 0.1, 0.1, 0.1, 0.1, 1, 0.1, 1, 0.1)
     expansion, plan = (three, three, two, three, two, two), (two, two, three)
     knots = (two, two, three, one, one, 0.1)
     products = (index, index, index)
-    room = (one, one, two, two, two, index, one, two, one, two, three)
+    shut, pieces = np.zeros(1, np.bool_), np.zeros((1, 1), np.int64)
+    held = (shut, two, two, two, two, index, two, two, two, three, one, pieces)
+    room = (one, one, two, two, two, index, one, two, one, two, three, held)
     return {
         "room_for": (1, 1, model),
         "slope_jacobian": (one, two, model, room, one),

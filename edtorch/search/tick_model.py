@@ -8,6 +8,10 @@ from typing import Any
 import numpy as np
 
 from edtorch.model.mechanism import Structure
+from edtorch.model.stops import Stops
+
+MOST_HITS = 8
+"""Of stops in a tick."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,7 +20,8 @@ class TickModel:
 
     weight ``[L, K]``; dt: seconds of a tick, which takes ``substeps`` steps of Runge and Kutta's
     method; middle and half ``[m]``: the bounds of the actions, scaled, are middle - half and
-    middle + half.
+    middle + half.  stops: None for a smooth model.  saltation: whether Jacobians say how the
+    time of a hit moves.
     """
 
     structure: Structure
@@ -25,10 +30,12 @@ class TickModel:
     middle: np.ndarray
     half: np.ndarray
     substeps: int = 2
+    stops: Stops | None = None
+    saltation: bool = True
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        """The structure as tuples of arrays: of the lift, of the terms, of the motion."""
+        """Tuples of arrays: of the lift, of the terms, of the motion, of the stops."""
         lift, terms = self.structure.lift, self.structure.terms
         return (
             (whole(lift.angle, bool), whole(lift.at, np.int64), real(lift.unit), lift.action_at),
@@ -40,6 +47,22 @@ class TickModel:
                 float(self.dt),
                 self.substeps,
             ),
+            self._stops,
+        )
+
+    @property
+    def _stops(self) -> tuple[Any, ...]:
+        stops, n = self.stops, len(self.structure.source)
+        if stops is None:
+            stops = Stops.none(n)
+        return (
+            real(stops.normal),
+            real(stops.level),
+            real(stops.turn),
+            whole(stops.column, np.int64),
+            real(stops.by_learned(self.structure)),
+            MOST_HITS,
+            float(self.saltation),
         )
 
     @property

@@ -1,7 +1,8 @@
-"""The mechanism model over one tick, and its Jacobians.
+"""The derivative of the state by the mechanism model, and its Jacobian.
 
 x [n + m]: state and action.  model: tuples (angle, at, unit, action_at) of the lift, (parent,
-factor, node, derivative) of the terms, (learned, source, ratio, seconds, substeps) of the motion.
+factor, node, derivative) of the terms, (learned, source, ratio, seconds, substeps) of the motion,
+and one of the stops (``stops.py``).
 Products of entries of the lift form a tree, parents first: product p is product parent[p] times
 entry factor[p], product 0 is 1; term k is product node[k].  So a factor that terms share is
 multiplied once, and one sweep backwards is the gradient.
@@ -11,8 +12,9 @@ multiplied once, and one sweep backwards is the gradient.
 @outer
 def room_for(n, m, model):
     """Arrays to work in."""
-    lift, terms, motion = model
+    lift, terms, motion, stops = model
     learned, size, products = len(motion[0]), lift[3] + m, len(terms[0])
+    count, pieces = len(stops[1]), motion[4] + 2 * stops[5] + 2
     return (
         np.zeros(size),
         np.zeros(products),
@@ -25,6 +27,20 @@ def room_for(n, m, model):
         np.zeros(n + m),
         np.zeros((2, n)),
         np.zeros((4, n, n + m)),
+        (
+            np.zeros(count, np.bool_),
+            np.zeros((count, learned)),
+            np.zeros((count, count)),
+            np.zeros((2, count)),
+            np.zeros((count, count)),
+            np.zeros(count, np.int64),
+            np.zeros((2, n + m)),
+            np.zeros((6, n)),
+            np.zeros((learned, n + m)),
+            np.zeros((2, n, n + m)),
+            np.zeros(pieces),
+            np.zeros((2, pieces + 1), np.int64),
+        ),
     )
 
 
@@ -83,7 +99,7 @@ def lift_into(x, lift, entry):
 @outer
 def slope(x, weight, model, room, ds):
     """ds = ds/dt: (I - N) f = h for what is learned, ratio times the source for positions."""
-    lift, terms, motion = model
+    lift, terms, motion, _ = model
     parent, factor, node, derivative = terms
     learned, source, ratio = motion[0], motion[1], motion[2]
     entry, product, matrix, pivot, f = room[0], room[1], room[4], room[5], room[6]
@@ -114,7 +130,7 @@ def slope(x, weight, model, room, ds):
 def slope_jacobian(x, weight, model, room, ds):
     """``slope``, and room[7] = df/dx [L, n + m] from (I - N) df = dh + dN f."""
     slope(x, weight, model, room, ds)
-    lift, terms, motion = model
+    lift, terms, motion, _ = model
     angle, at, unit, action_at = lift
     parent, factor, node, derivative = terms
     entry, product, adjoint, by_entry, matrix, pivot, f, jacobian = room[:8]
@@ -142,92 +158,3 @@ def slope_jacobian(x, weight, model, room, ds):
         solve(matrix, pivot, f)
         for l in range(learned):
             jacobian[l, i] = f[l]
-
-
-@outer
-def tick(x, weight, model, room, after):
-    """after: the state one tick after x, by Runge and Kutta's fourth-order method."""
-    motion = model[2]
-    substeps, point, ds, total = motion[4], room[8], room[9][0], room[9][1]
-    n, h = len(after), motion[3] / substeps
-    for i in range(len(x)):
-        point[i] = x[i]
-    for i in range(n):
-        after[i] = x[i]
-    for _ in range(substeps):
-        for stage in range(4):
-            part = 0.0 if stage == 0 else (h if stage == 3 else h / 2)
-            share = 1.0 if stage in (0, 3) else 2.0
-            for i in range(n):
-                point[i] = after[i] if stage == 0 else after[i] + part * ds[i]
-            slope(point, weight, model, room, ds)
-            for i in range(n):
-                total[i] = ds[i] if stage == 0 else total[i] + share * ds[i]
-        for i in range(n):
-            after[i] += h / 6 * total[i]
-
-
-@outer
-def tick_jacobian(x, weight, model, room, after, by):
-    """``tick``, and by [n, n + m]: the derivative of ``after`` in x, through every stage."""
-    learned, source, ratio, seconds, substeps = model[2]
-    jacobian, point, ds, total = room[7], room[8], room[9][0], room[9][1]
-    at, change, sums, start = room[10][0], room[10][1], room[10][2], room[10][3]
-    n, width, h = len(after), len(x), seconds / substeps
-    for i in range(len(x)):
-        point[i] = x[i]
-    for i in range(n):
-        after[i] = x[i]
-    for i in range(n):
-        for q in range(width):
-            by[i, q] = 1.0 if i == q else 0.0
-    for _ in range(substeps):
-        for i in range(n):
-            for q in range(width):
-                start[i, q] = by[i, q]
-        for stage in range(4):
-            part = 0.0 if stage == 0 else (h if stage == 3 else h / 2)
-            share = 1.0 if stage in (0, 3) else 2.0
-            for i in range(n):
-                point[i] = after[i] if stage == 0 else after[i] + part * ds[i]
-                for q in range(width):
-                    at[i, q] = start[i, q] if stage == 0 else start[i, q] + part * change[i, q]
-            slope_jacobian(point, weight, model, room, ds)
-            for i in range(n):
-                for q in range(width):
-                    change[i, q] = ratio[i] * at[source[i], q] if source[i] >= 0 else 0.0
-            for l in range(len(learned)):
-                i = learned[l]
-                for q in range(width):
-                    value = jacobian[l, q] if q >= n else 0.0
-                    for j in range(n):
-                        value += jacobian[l, j] * at[j, q]
-                    change[i, q] = value
-            for i in range(n):
-                total[i] = ds[i] if stage == 0 else total[i] + share * ds[i]
-                for q in range(width):
-                    old = 0.0 if stage == 0 else sums[i, q]
-                    sums[i, q] = old + share * change[i, q]
-        for i in range(n):
-            after[i] += h / 6 * total[i]
-            for q in range(width):
-                by[i, q] = start[i, q] + h / 6 * sums[i, q]
-
-
-@outer
-def ticks(x, weight, model, after):
-    """``tick`` of rows x [P, R, n + m], each P with a weight of its own [P, L, K]."""
-    n = after.shape[2]
-    room = room_for(n, x.shape[2] - n, model)
-    for p in range(len(x)):
-        for r in range(x.shape[1]):
-            tick(x[p, r], weight[p], model, room, after[p, r])
-
-
-@outer
-def tick_jacobians(x, weight, model, after, by):
-    """``tick_jacobian`` of rows x [R, n + m], all with the same weight."""
-    n = after.shape[1]
-    room = room_for(n, x.shape[1] - n, model)
-    for r in range(len(x)):
-        tick_jacobian(x[r], weight, model, room, after[r], by[r])
