@@ -23,6 +23,7 @@ from edtorch.app.settings import Settings
 from edtorch.app.solved import Solved, build_solved
 from edtorch.compiled import numba
 from edtorch.errors import Unavailable
+from edtorch.model.stops import Stops
 from edtorch.model.told import Told
 from edtorch.native.choice import Mode
 from edtorch.rewards.squares import squares_of
@@ -92,10 +93,19 @@ def build_told(config: Settings, world: World) -> Told:
         )
 
 
+def build_stops(config: Settings, told: Told) -> Stops | None:
+    """The stops that are told, None for none.  Raises ConfigError."""
+    if not config.told.stops:
+        return None
+    with under("told.stops"):
+        return Stops.of(told, config.told.stops)
+
+
 def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchProblem, Told]:
     """The search and its problem in a world.  Raises ConfigError, which names the key."""
     told = build_told(config, world)
     search = construct("search", config.search, "improve", "actor")
+    stops = build_stops(config, told)
     model = construct("model", config.model, "structures")
     fit = construct("fit", config.fit, "learn")
     with under("model"):
@@ -112,7 +122,7 @@ def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchPr
         names=[q.name for q in world.spec.state],
         scale=torch.tensor([q.scale for q in world.spec.state], dtype=torch.float64),
         structures=structures,
-        learn=lambda transitions, trial: fit.learn(structures, transitions, trial),
+        learn=lambda transitions, trial: fit.learn(structures, transitions, trial, stops),
         rows=rows,
         action=(action * world.action_half_range**2).numpy(),
         middle=world.action_middle,
@@ -159,6 +169,8 @@ def build_planned(config: Settings) -> PlannedSetup:
 
     world = world_of(sim)
     search, problem, told = build_problem(config, world)
+    stops, scale = build_stops(config, told), problem.scale.numpy()
+    stopped = f"stops: {stops.words(scale)}" if stops else ""
     seeds = [config.seed + k for k in range(config.seeds)]
     with under("search"):
         actor, _ = search.actor(problem)
@@ -182,7 +194,7 @@ def build_planned(config: Settings) -> PlannedSetup:
         trials=budget.episodes,
         initial=actor.initial(seeds),
         card=policy_card(sim, actor, seeds),
-        told="; ".join(part for part in (told.words, search.prior) if part),
+        told="; ".join(part for part in (told.words, stopped, search.prior) if part),
         episodes=config.eval.episodes,
         native=evaluation_mode(config),
         threads=config.compute.threads,

@@ -211,13 +211,14 @@ class OnlineGroup:
 @dataclass(frozen=True)
 class ToldGroup:
     """Prior knowledge of the state's components by name, in addition to the domain's, for a search
-    between trials: see ``edtorch.model.told.Told``."""
+    between trials: see ``edtorch.model.told.Told``, and ``edtorch.model.stops.Stops``."""
 
     angles: Sequence[str] = ()
     rates: Mapping[str, str] = _empty()
     constant: Sequence[str] = ()
     ignored: Sequence[str] = ()
     invariant: Sequence[str] = ()
+    stops: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)

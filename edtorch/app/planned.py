@@ -145,8 +145,11 @@ class PlannedLearners(Work):
                 continue
             seeds = [setup.seeds[row] for row in group]
             own = {name: p[group] for name, p in self._parameters.items()}
+            search, hold = setup.search, setup.search.random_hold or world.dt
             source: Source[Any] = RandomActions(
-                setup.problem.middle, setup.search.random_size * setup.problem.half
+                setup.problem.middle,
+                search.random_size * setup.problem.half,
+                max(1, round(hold / world.dt)),
             )
             left = None
             if planned:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -13,6 +13,8 @@ from edtorch.model.evidence import Posterior, Updates, ard, ridge
 from edtorch.model.held_out import ModelChoice, choose_model
 from edtorch.model.mechanism import Structure, runge_kutta
 from edtorch.model.path_fit import LEAST_ROWS, fit_paths, usable
+from edtorch.model.stop_fit import find_events
+from edtorch.model.stops import Stops
 from edtorch.types import Transition
 
 PRIORS: Mapping[str, Callable[..., Posterior]] = {"ard": ard, "ridge": ridge}
@@ -22,13 +24,15 @@ PRIORS: Mapping[str, Callable[..., Posterior]] = {"ard": ard, "ridge": ridge}
 class LearnedModel:
     """name: of the structure; reading_noise ``[n]``: standard deviations of the errors of readings,
     scaled, from what is left of the changes in a tick; error: root of the mean square of those, in
-    all components; count: transitions used; notes: for people."""
+    all components; count: transitions used; stops: those that were hit, with their levels, None
+    where none is told; notes: for people."""
 
     name: str
     posterior: Posterior
     reading_noise: Tensor
     error: float
     count: int
+    stops: Stops | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -54,31 +58,41 @@ class PathFit:
             raise ValueError(f"prior={self.prior}: expected one of {', '.join(PRIORS)}")
 
     def learn(
-        self, structures: Mapping[str, Structure], transition: Transition, episode: Tensor
+        self,
+        structures: Mapping[str, Structure],
+        transition: Transition,
+        episode: Tensor,
+        stops: Stops | None = None,
     ) -> LearnedModel:
         """The posterior of the structure that predicts held-out data best, from rows in order of
         time and the number ``[N]`` of the episode of each.  One structure is fitted to rows that
-        are too few to hold some out.
+        are too few to hold some out.  With ``stops`` the ticks in which one is hit are left out
+        (``edtorch.model.stop_fit``).
 
-        Errors as of ``edtorch.model.held_out.choose_model``.
+        Errors as of ``edtorch.model.held_out.choose_model``, and of ``find_events``.
         """
         updates = Updates(self.updates, self.noise)
         evidence = partial(PRIORS[self.prior], updates=updates)
         fit = partial(fit_paths, passes=self.passes, evidence=evidence)
         notes: list[str] = []
+        if stops is not None:
+            richest = list(structures.values())[-1]
+            events = find_events(richest, stops, transition, fit)
+            stops, transition = events.stops, replace(transition, valid=events.free)
+            notes += events.notes
         if len(structures) == 1 and int(transition.valid.sum()) < 2 * LEAST_ROWS:
             ((name, structure),) = structures.items()
             posterior = fit(structure, transition)
         else:
             choice = choose_model(structures, transition, episode, fit=fit)
             name, structure, posterior = choice.name, choice.structure, choice.posterior
-            notes = _notes(choice, told=len(structures) > 1)
+            notes += _notes(choice, told=len(structures) > 1)
         left = one_tick_errors(structure, posterior.weight, transition)
         # Of two readings each, so that a difference has twice the variance of an error; the median
         # of |x| is .674 of a normal standard deviation.
         noise = 1.483 * left.abs().median(0).values / 2**0.5
         error = float(left.square().mean().sqrt())
-        return LearnedModel(name, posterior, noise, error, len(left), tuple(notes))
+        return LearnedModel(name, posterior, noise, error, len(left), stops, tuple(notes))
 
 
 def _notes(choice: ModelChoice, *, told: bool) -> list[str]:

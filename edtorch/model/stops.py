@@ -48,7 +48,8 @@ class Stops:
         """Stops by name: ``of`` {position: factor}, physical; ``column`` an action; ``at`` the
         level of the sum, physical, None where it is to be learned.
 
-        Raises ValueError for unknown names, and for components whose rate is not learned.
+        Raises ValueError for unknown names, for components whose rate is not learned, and for two
+        that contradict each other.
         """
         count, n = len(given), len(told.names)
         if count > MOST_STOPS:
@@ -63,6 +64,14 @@ class Stops:
                     f" null{', found ' + unknown[0] if unknown else ''}"
                 )
             _place(found, k, key, entry, told)
+        for k in range(count):
+            for j in range(k):
+                opposite = np.allclose(found.normal[j], -found.normal[k])
+                if opposite and found.level[j] + found.level[k] >= 0:
+                    raise ValueError(
+                        f"told.stops.{found.names[j]} and told.stops.{found.names[k]} leave no room"
+                        " between them"
+                    )
         return replace(found, column=found.column.astype(np.int64))
 
     def __len__(self) -> int:

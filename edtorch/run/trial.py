@@ -22,24 +22,31 @@ from sims.base import Outcome
 
 @dataclass(frozen=True)
 class RandomActions:
-    """A source of actions uniform within middle +- half ``[m]``, scaled (``edtorch.run.tick``)."""
+    """A source of actions uniform within middle +- half ``[m]``, scaled (``edtorch.run.tick``),
+    each of which lasts for ``held`` ticks."""
 
     middle: Tensor
     half: Tensor
+    held: int = 1
 
     def begin(self, memory: Parameters, fresh: Tensor, observation: Tensor, /) -> Parameters:
-        """Nothing is remembered."""
+        """As before: an action goes on over the end of an episode."""
         return memory
 
     def act(self, memory: Parameters, observation: Tensor, normal: Tensor, /) -> Tensor:
         """Uniform, by the distribution function of the normal numbers."""
-        return self.middle + self.half * torch.erf(normal / 2**0.5)
+        drawn = self.middle + self.half * torch.erf(normal / 2**0.5)
+        if not memory:
+            return drawn
+        fresh = memory["age"].remainder(self.held) == 0
+        return torch.where(fresh.unsqueeze(-1), drawn, memory["action"])
 
     def step(
         self, memory: Parameters, transition: Transition, /, *, improve: bool
     ) -> tuple[Parameters, None]:
-        """Nothing is learned."""
-        return memory, None
+        """The action is remembered; nothing is learned."""
+        age = memory["age"] + 1 if memory else torch.ones_like(transition.valid, dtype=torch.long)
+        return {"action": transition.action, "age": age}, None
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,8 @@ class PlannedSearch(RandomFirst):
     ``both``.  keep: number of the cheapest plans that are simulated ``draws`` times each, in models
     drawn from the posterior, its deviations times ``inflation``; the one with the most successes is
     taken, the cheaper at a tie.  abort: scaled distance from the plan at which a trial is aborted,
-    None: never.  substeps: of Runge and Kutta's method in a tick.
+    None: never.  substeps: of Runge and Kutta's method in a tick.  saltation: whether Jacobians
+    through stops say how the time of a hit moves.
     """
 
     policy: Literal["timed", "stationary"] = "timed"
@@ -70,6 +71,7 @@ class PlannedSearch(RandomFirst):
     inflation: float = 2.0
     abort: float | None = 1.5
     substeps: int = 2
+    saltation: bool = True
 
     figures = (
         *("transitions", "terms", "model_error", "plans", "dropped", "cost", "imagined"),
@@ -116,7 +118,7 @@ class PlannedSearch(RandomFirst):
         """See ``TrialSearch``."""
         learned = problem.learn(knowledge.transitions(problem.dt), knowledge.trial)
         structure = problem.structures[learned.name]
-        model = problem.tick_model(learned, self.substeps)
+        model = problem.tick_model(learned, self.substeps, saltation=self.saltation)
         horizon, opening = self._ticks(problem)
         weight = ramp(problem.ticks, self.power, opening)
         whole = Cost(problem.rows, weight, problem.action, self.squash)

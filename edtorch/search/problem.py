@@ -51,7 +51,9 @@ class SearchProblem:
         """H, the horizon."""
         return len(self.rows) - 1
 
-    def tick_model(self, learned: LearnedModel, substeps: int) -> TickModel:
+    def tick_model(
+        self, learned: LearnedModel, substeps: int, *, saltation: bool = True
+    ) -> TickModel:
         """The learned model over a tick, in ``substeps`` steps of Runge and Kutta's method."""
         return TickModel(
             self.structures[learned.name],
@@ -60,6 +62,8 @@ class SearchProblem:
             self.middle.numpy(),
             self.half.numpy(),
             substeps,
+            learned.stops,
+            saltation,
         )
 
     def noise_of(self, learned: LearnedModel) -> Tensor:
@@ -115,13 +119,15 @@ class TrialSearch(Protocol):
 
     trial: seconds of a trial, None: as long as an episode; random: of the first trials, with random
     actions, None: as long as any; random_trials: how many there are; random_size: share of the
-    range of the actions that they use.  figures: names of those of an ``Improvement``.
+    range of the actions that they use; random_hold: seconds for which each of these lasts, None: a
+    tick.  figures: names of those of an ``Improvement``.
     """
 
     trial: float | None
     random: float | None
     random_trials: int
     random_size: float
+    random_hold: float | None
     figures: tuple[str, ...]
 
     @property

@@ -8,16 +8,18 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class RandomFirst:
     """trial: seconds of a trial, None: a whole episode; random: of a random one, None: the same;
-    random_trials: their number; random_size: share of the range of the actions that they use."""
+    random_trials: their number; random_size: share of the range of the actions that they use;
+    random_hold: seconds for which each of these lasts, None: a tick."""
 
     trial: float | None = None
     random: float | None = None
     random_trials: int = 1
     random_size: float = 1.0
+    random_hold: float | None = None
 
     def __post_init__(self) -> None:
         """Reject invalid settings."""
-        for name in ("trial", "random"):
+        for name in ("trial", "random", "random_hold"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name}={value}: expected a number > 0, or null")

@@ -49,7 +49,7 @@ class StopPendulum(HeldTip):
         dt: float = 0.05,
         time_limit: float = 4.0,
         hold_from: float = 3.0,
-        width: float = 0.5,
+        width: float = 0.25,
     ) -> None:
         super().__init__(dt, time_limit, hold_from, width)
 

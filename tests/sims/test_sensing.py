@@ -164,10 +164,11 @@ def test_readings_without_a_delay_have_rows(inner: Any) -> None:
 
 
 def test_what_has_no_rows_says_why() -> None:
+    plain: Any = Plain()
     with pytest.raises(NoRows, match="delayed readings"):
         rows_of(Sensed(LinearSystem([[1.0]], [[1.0]]), {}, 1))
     with pytest.raises(NoRows, match="Plain is not written over rows"):
-        rows_of(Sensed(Plain()))
+        rows_of(Sensed(plain))
 
 
 class Plain:
