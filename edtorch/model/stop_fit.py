@@ -100,18 +100,20 @@ def _trimmed(
     """Weights of free motion, which rows are outlying ``[N]``, and one-tick errors ``[N, n]``."""
     outlying = torch.zeros_like(data.valid)
     learned = torch.from_numpy(structure.learned)
-    for _ in range(_ROUNDS):
+
+    def fitted() -> tuple[Tensor, Tensor]:
         weight = fit(structure, replace(data, valid=~outlying)).weight
         ahead = runge_kutta(structure, weight, data.state, data.action, data.dt)
-        error = structure.difference(data.next_state, ahead).nan_to_num(1e6)
+        return weight, structure.difference(data.next_state, ahead).nan_to_num(1e6)
+
+    weight, error = fitted()
+    for _ in range(_ROUNDS):
         size = error[:, learned].abs()
         usual = _NORMAL * size[~outlying].median(0).values
         last, outlying = outlying, (size > _OUTLYING * usual + 1e-9).any(-1)
-        if int((~outlying).sum()) < LEAST_ROWS:
-            outlying = last
-            break
-        if bool((outlying == last).all()):
-            break
+        if bool((outlying == last).all()) or int((~outlying).sum()) < LEAST_ROWS:
+            return weight, last, error
+        weight, error = fitted()
     return weight, outlying, error
 
 
