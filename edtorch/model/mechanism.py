@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from edtorch.circle import wrapped
+from edtorch.flow import flow
 from edtorch.model.lift import Lift
 from edtorch.model.terms import Terms
 from edtorch.model.ties import Ties
@@ -147,14 +148,7 @@ def runge_kutta(
 ) -> Tensor:
     """The state ``[*batch, n]`` after ``seconds`` (a number or ``[*batch]``) under a constant
     action, in ``steps`` equal steps of Runge and Kutta's method of fourth order."""
-    h = torch.as_tensor(seconds, dtype=state.dtype).unsqueeze(-1) / steps
-    for _ in range(steps):
-        first = state_derivative(structure, weight, state, action)
-        second = state_derivative(structure, weight, state + h / 2 * first, action)
-        third = state_derivative(structure, weight, state + h / 2 * second, action)
-        fourth = state_derivative(structure, weight, state + h * third, action)
-        state = state + h / 6 * (first + 2 * second + 2 * third + fourth)
-    return state
+    return flow(lambda s: state_derivative(structure, weight, s, action), state, seconds, steps)
 
 
 def runge_kutta_jacobian(
