@@ -28,10 +28,10 @@ def planner_source() -> ModuleSource:
 def _entries() -> dict[str, tuple[object, ...]]:
     """Arguments of the kinds that the kernels are given."""
     one, two, three = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))
-    index = np.zeros(1, np.int64)
+    index, pair = np.zeros(1, np.int64), np.zeros((1, 1), np.int64)
     lift = (np.zeros(1, np.bool_), index, one, 1)
     stops = (two, one, one, index, two, 1, 1.0)
-    model = (lift, (index, index, index, index), (index, index, one, 0.1, 1), stops)
+    model = (lift, (index, index, index, index, pair), (index, index, one, 0.1, 1), stops)
     cost, bounds = (three, one, one, 0.1), (one, one)
     problem = (model, two, cost, bounds)
     settings = (0.1, 0.1, 0.1, 0.1, 0.1, 1, 0.1, 1, 0.1)

@@ -39,7 +39,11 @@ class TickModel:
         lift, terms = self.structure.lift, self.structure.terms
         return (
             (whole(lift.angle, bool), whole(lift.at, np.int64), real(lift.unit), lift.action_at),
-            (*product_tree(terms.factors), whole(terms.derivative, np.int64)),
+            (
+                *product_tree(terms.factors),
+                whole(terms.derivative, np.int64),
+                whole(np.argwhere(self.structure.allowed.numpy().T), np.int64),
+            ),
             (
                 whole(self.structure.learned, np.int64),
                 whole(self.structure.source, np.int64),

@@ -1,11 +1,12 @@
 """The derivative of the state by the mechanism model, and its Jacobian.
 
 x [n + m]: state and action.  model: tuples (angle, at, unit, action_at) of the lift, (parent,
-factor, node, derivative) of the terms, (learned, source, ratio, seconds, substeps) of the motion,
-and one of the stops (``stops.py``).
+factor, node, derivative, pair) of the terms, (learned, source, ratio, seconds, substeps) of the
+motion, and one of the stops (``stops.py``).
 Products of entries of the lift form a tree, parents first: product p is product parent[p] times
 entry factor[p], product 0 is 1; term k is product node[k].  So a factor that terms share is
-multiplied once, and one sweep backwards is the gradient.
+multiplied once, and one sweep backwards is the gradient.  pair [Q, 2]: the terms and outputs whose
+weights are not zero by definition.
 """
 
 
@@ -100,7 +101,7 @@ def lift_into(x, lift, entry):
 def slope(x, weight, model, room, ds):
     """ds = ds/dt: (I - N) f = h for what is learned, ratio times the source for positions."""
     lift, terms, motion, _ = model
-    parent, factor, node, derivative = terms
+    parent, factor, node, derivative, pair = terms
     learned, source, ratio = motion[0], motion[1], motion[2]
     entry, product, matrix, pivot, f = room[0], room[1], room[4], room[5], room[6]
     lift_into(x, lift, entry)
@@ -111,13 +112,13 @@ def slope(x, weight, model, room, ds):
         f[l] = 0.0
         for j in range(len(learned)):
             matrix[l, j] = 1.0 if l == j else 0.0
-    for k in range(len(node)):
-        value, j = product[node[k]], derivative[k]
-        for l in range(len(learned)):
-            if j < 0:
-                f[l] += weight[l, k] * value
-            else:
-                matrix[l, j] -= weight[l, k] * value
+    for q in range(len(pair)):
+        k, l = pair[q, 0], pair[q, 1]
+        value, j = weight[l, k] * product[node[k]], derivative[k]
+        if j < 0:
+            f[l] += value
+        else:
+            matrix[l, j] -= value
     factorise(matrix, pivot)
     solve(matrix, pivot, f)
     for i in range(len(ds)):
@@ -132,15 +133,17 @@ def slope_jacobian(x, weight, model, room, ds):
     slope(x, weight, model, room, ds)
     lift, terms, motion, _ = model
     angle, at, unit, action_at = lift
-    parent, factor, node, derivative = terms
+    parent, factor, node, derivative, pair = terms
     entry, product, adjoint, by_entry, matrix, pivot, f, jacobian = room[:8]
     n, learned = len(angle), len(f)
     for l in range(learned):
         adjoint[l, :] = 0.0
         by_entry[l, :] = 0.0
-        for k in range(len(node)):
-            held = f[derivative[k]] if derivative[k] >= 0 else 1.0
-            adjoint[l, node[k]] += weight[l, k] * held
+    for q in range(len(pair)):
+        k, l = pair[q, 0], pair[q, 1]
+        held = f[derivative[k]] if derivative[k] >= 0 else 1.0
+        adjoint[l, node[k]] += weight[l, k] * held
+    for l in range(learned):
         for p in range(len(parent) - 1, 0, -1):
             by_entry[l, factor[p]] += adjoint[l, p] * product[parent[p]]
             adjoint[l, parent[p]] += adjoint[l, p] * entry[factor[p]]
