@@ -6,8 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.model.chain import impact_terms
 from edtorch.model.families import ChainModel
+from edtorch.model.impact import Impact
+from edtorch.model.lift import Lift
 from edtorch.model.mechanism import Structure
+from edtorch.model.stops import Stops
+from edtorch.model.strike import Strike
 from edtorch.model.terms import Factors
 from edtorch.model.told import Told
 from sims.tasks.five_links import CENTRES, GRAVITY, INERTIAS, MASSES
@@ -70,3 +75,62 @@ def drawn(count: int, seed: int = 0) -> tuple[Tensor, Tensor]:
     generator = torch.Generator().manual_seed(seed)
     state = torch.randn(count, 13, generator=generator, dtype=torch.float64)
     return 0.5 * state, 0.5 * torch.randn(count, 4, generator=generator, dtype=torch.float64)
+
+
+LEVERS = np.array([-0.4, -0.4, 0.0, 0.4, 0.4])
+"""m, of the new stance foot before a strike: its velocity forward is the sum of these times
+cos(q) v, up the sum of these times -sin(q) v."""
+STOPS = Stops.of(
+    TOLD,
+    {
+        f"{leg}_knee": {
+            "of": {f"{leg}_shank": 1.0, f"{leg}_thigh": -1.0},
+            "column": f"{leg}_knee",
+            "at": 0.0,
+        }
+        for leg in ("stance", "swing")
+    },
+)
+
+
+def true_impact(built: Structure) -> Impact:
+    """``sims.tasks.five_links.impact_over`` without its stops, exactly: row i has (D_ij + G_i
+    lever_j) / D_ii cos(q_i - q_j) v_j."""
+    terms, _ = impact_terms(TOLD, built.lift)
+    rows = {tuple(k for k in row if k): n for n, row in enumerate(terms.factors.tolist())}
+    at = [int(built.lift.at[2 * i]) for i in range(5)]
+    weight = torch.zeros(5, terms.count, dtype=torch.float64)
+    for i in range(5):
+        for j in range(5):
+            rate, share = int(built.lift.at[2 * j + 1]), (D[i, j] + G[i] * LEVERS[j]) / D[i, i]
+            if i == j:
+                weight[i, rows[(rate,)]] = share
+            else:
+                for k in (0, 1):
+                    weight[i, rows[tuple(sorted((at[i] + k, at[j] + k, rate)))]] = share
+    return Impact(terms, weight, 0.0, 0)
+
+
+HEIGHT: dict[str, float] = {
+    "stance_shank": 0.4,
+    "stance_thigh": 0.4,
+    "swing_thigh": -0.4,
+    "swing_shank": -0.4,
+}
+"""Of the swing foot, m: the sum of these times the cosines."""
+
+
+def strike(height: dict[str, float] | None = HEIGHT) -> Strike:
+    """Of the swing foot."""
+    return Strike.of(
+        TOLD,
+        Lift.of(TOLD),
+        height=height,
+        swap={
+            "stance_shank": "swing_shank",
+            "stance_thigh": "swing_thigh",
+            "stance_knee": "swing_knee",
+            "stance_hip": "swing_hip",
+        },
+        counter="steps",
+    )

@@ -47,6 +47,25 @@ def chain(told: Told, lift: Lift) -> tuple[Terms, Ties]:
     return tied_terms(found, count)
 
 
+def impact_terms(told: Told, lift: Lift) -> tuple[Terms, Ties]:
+    """Of the rates before an impact (``edtorch.model.impact``): cos(q_i - q_j) v_j, and v_j.
+
+    An impulse at a point of the chain changes row i by the velocity of that point times cos q_i and
+    sin q_i, which are sums of the first kind.
+    """
+    angles = links(told)
+    rates = [int(lift.at[i]) for i in told.learned]
+    found: list[tuple[int, Sum]] = []
+    for i, own in enumerate(angles):
+        found += [(i, [(1.0, -1, (rate,))]) for rate in rates]
+        found += [
+            (i, cosine(lift, own, other, -1, (rate,)))
+            for other, rate in zip(angles, rates, strict=True)
+            if other != own
+        ]
+    return tied_terms(found, len(angles))
+
+
 def links(told: Told) -> list[int]:
     """The angle whose rate each learned component is; ValueError where one is none."""
     for i in told.learned:

@@ -94,6 +94,19 @@ def accelerations(structure: Structure, weight: Tensor, state: Tensor, action: T
     return _solved(h, coupling.squeeze(-1)).squeeze(-1)
 
 
+def coupled(structure: Structure, weight: Tensor, state: Tensor) -> Tensor:
+    """I - N ``[*batch, L, L]``, with the action 0: of a mechanism its inertia, each row divided by
+    its diagonal entry.  Arguments as for ``accelerations``."""
+    phi = structure.terms(structure.lift.of_state(state))
+    _, coupling = _parts(structure, weight, phi.unsqueeze(-1))
+    eye = torch.eye(len(structure.learned), dtype=state.dtype)
+    return (
+        eye.expand(*state.shape[:-1], *eye.shape)
+        if not structure.implicit
+        else (eye - coupling.squeeze(-1))
+    )
+
+
 def acceleration_cov(
     structure: Structure, weight: Tensor, cov: Tensor, state: Tensor, action: Tensor
 ) -> Tensor:
