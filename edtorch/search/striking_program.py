@@ -1,0 +1,45 @@
+"""The kernels of models with strikes as one compiled module (``edtorch.search.program``).
+
+A module of its own: who plans without strikes does not wait for these to be compiled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from edtorch.compiled import ModuleSource, load_kernel
+
+_FOLDER = Path(__file__).parent / "kernels"
+_TEXTS = ("mechanism.py", "stops.py", "tick.py", "strikes.py")
+
+
+def _entries() -> dict[str, tuple[object, ...]]:
+    """Arguments of the kinds that the kernels are given."""
+    one, two, three = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))
+    four = np.zeros((1, 1, 1, 1))
+    index, shut = np.zeros(1, np.int64), np.zeros((1, 1), np.bool_)
+    stops = (two, one, one, index, two, 1, 1.0)
+    terms = (index, index, index, index, np.zeros((1, 1), np.int64))
+    lift, motion = (np.zeros(1, np.bool_), index, one, 1), (index, index, one, 0.1, 1)
+    model = (lift, terms, motion, stops)
+    strike = (one, index, index, one, (index, index, index), two)
+    return {
+        "held_paths": (two, shut, one, two, model, three),
+        "striking_rollouts": (three, four, three, model, strike, four),
+    }
+
+
+@lru_cache(maxsize=1)
+def striking_kernels() -> Mapping[str, Callable[..., Any]]:
+    """The kernels by name, compiled, or fetched from disk; errors as ``program.kernels``."""
+    texts = [(_FOLDER / name).read_text(encoding="utf-8") for name in _TEXTS]
+    source = ModuleSource("\n".join(("import math\nimport numpy as np", *texts)), "", {})
+    entries = _entries()
+    found = load_kernel(source, entries, "models with strikes")
+    return MappingProxyType(dict(zip(entries, found, strict=True)))
