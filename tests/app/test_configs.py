@@ -125,7 +125,7 @@ def test_experiment_runs_three_episodes(name: str) -> None:
     limits = ("seeds=2", "train.episodes=3", "train.successes=null", "train.seconds=200")
     if not name.startswith("cardea"):
         # For those who never fall.
-        world = "domain.sim" if name == "bicycle_sensors" else "domain"
+        world = "domain.sim" if name in ("bicycle_sensors", "walker_paper") else "domain"
         limits += (f"{world}.time_limit=4",)
     setup = build(_compose(f"experiment={name}", *limits))
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
