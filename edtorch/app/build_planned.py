@@ -97,7 +97,7 @@ def build_stops(config: Settings, told: Told) -> Stops | None:
     """The stops that are told, None for none.  Raises ConfigError."""
     if not config.told.stops:
         return None
-    with under("told.stops"):
+    with under("told"):
         return Stops.of(told, config.told.stops)
 
 

@@ -44,7 +44,7 @@ class Stops:
         return cls((), np.zeros((0, states)), zero, zero, np.zeros(0, np.int64))
 
     @classmethod
-    def of(cls, told: Told, given: Mapping[str, Mapping[str, object]]) -> Stops:
+    def of(cls, told: Told, given: Mapping[str, object]) -> Stops:
         """Stops by name: ``of`` {position: factor}, physical; ``column`` an action; ``at`` the
         level of the sum, physical, None where it is to be learned.
 
@@ -57,13 +57,14 @@ class Stops:
         found = cls(tuple(given), *(np.zeros(shape) for shape in ((count, n), count, count, count)))
         for k, (name, entry) in enumerate(given.items()):
             key = f"told.stops.{name}"
-            unknown = sorted(set(entry) - {"of", "column", "at"})
-            if unknown or not isinstance(entry.get("of"), Mapping) or "column" not in entry:
+            told_so = dict(entry) if isinstance(entry, Mapping) else {}
+            unknown = sorted(set(told_so) - {"of", "column", "at"})
+            if unknown or not isinstance(told_so.get("of"), Mapping) or "column" not in told_so:
                 raise ValueError(
-                    f"{key}: expected of: {{position: factor}}, column: an action, at: a level or"
-                    f" null{', found ' + unknown[0] if unknown else ''}"
+                    f"{key}={entry}: expected {{of: {{position: factor}}, column: an action, at: a"
+                    " level, or null to learn it}"
                 )
-            _place(found, k, key, entry, told)
+            _place(found, k, key, told_so, told)
         for k in range(count):
             for j in range(k):
                 opposite = np.allclose(found.normal[j], -found.normal[k])

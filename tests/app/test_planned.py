@@ -20,6 +20,7 @@ from edtorch.app.compose import compose
 from edtorch.app.errors import ConfigError
 from edtorch.app.solved import Solved
 from sims.tasks.cart_pole import CartPole
+from sims.tasks.stop_pendulum import HIGH
 from tests.app.conftest import Result
 
 SMALL = ("experiment=pendulum_swingup", "search.starts=4", "search.draws=20", "eval.episodes=20")
@@ -237,6 +238,26 @@ def test_what_is_to_be_followed_is_for_planners_alone(command: Callable[..., Any
     )
     assert result.status != 0
     assert "search=planned follows one" in result.line
+
+
+@pytest.mark.experiment
+def test_a_stop_is_found_and_planned_through(command: Callable[..., Result]) -> None:
+    small = ("seeds=1", "train.episodes=1", "search.starts=3", "search.straight=0")
+    result = command(
+        "edtorch-train", "experiment=stop_pendulum", *small, "search.draws=10", "eval.episodes=5"
+    )
+    assert result.status == 0
+    assert "stops: lower learned, upper learned" in result.err
+    level = re.search(r"seed 0, after trial 1: stop upper at ([\d.]+)", result.err)
+    assert level is not None and float(level[1]) == pytest.approx(2 * np.pi - HIGH, abs=0.02)
+    assert "told.stops.lower: no transition crosses it; not modelled yet" in result.err
+
+
+def test_a_stop_by_an_unknown_action_is_one_line(command: Callable[..., Result]) -> None:
+    stop = "told.stops={floor: {of: {angle: 1}, column: push}}"
+    result = command("edtorch-train", "experiment=stop_pendulum", stop)
+    assert result.status != 0
+    assert "told.stops.floor.column=push: expected one of torque" in result.line
 
 
 @pytest.mark.parametrize(
