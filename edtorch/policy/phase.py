@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -47,23 +48,33 @@ class Followed:
 class PhaseGait:
     """phase: coefficients of the positions in the phase variable, by name; start, width: where on
     it the phase is 0, and how far from there it is 1, to begin a search from; spread: deviation of
-    both; joints: what follows a curve, by name."""
+    both; joints: what follows a curve, by name: the fields of ``Followed``."""
 
     phase: Mapping[str, float]
     start: float
     width: float
     spread: float
-    joints: Mapping[str, Followed]
+    joints: Mapping[str, Mapping[str, Any]]
 
     def __post_init__(self) -> None:
         """Reject invalid settings."""
         if not self.width > 0:
             raise ValueError(f"width={self.width}: expected a number > 0")
-        for name, joint in self.joints.items():
-            if not joint.points:
-                raise ValueError(f"joints.{name}.points=[]: expected one or more")
+        known = [field.name for field in fields(Followed)]
+        for name, node in self.joints.items():
+            for key in node:
+                if key not in known:
+                    raise ValueError(f"joints.{name}.{key}: expected one of {', '.join(known)}")
+            for key in ("of", "drives", "stiffness", "damping", "points", "spread"):
+                if key not in node or node[key] == []:
+                    raise ValueError(f"joints.{name}.{key}: no value given")
             if name in ("phase", "feedback"):
                 raise ValueError(f"joints.{name}: expected another name; the parameter is taken")
+
+    @cached_property
+    def followed(self) -> Mapping[str, Followed]:
+        """The joints."""
+        return {name: Followed(**node) for name, node in self.joints.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,10 +132,10 @@ class PhasePolicy(BoundedPolicy):
         super().__init__(squash)
         self.gait = gait
         place, first = [], 2
-        for joint in gait.joints.values():
+        for joint in gait.followed.values():
             place.append([first, -1])
             first += len(joint.points)
-        for own, joint in zip(place, gait.joints.values(), strict=True):
+        for own, joint in zip(place, gait.followed.values(), strict=True):
             if joint.feedback is not None:
                 own[1], first = first, first + 1
         self.size = first
@@ -141,9 +152,9 @@ class PhasePolicy(BoundedPolicy):
                 position[i], speed[rate[i]] = factor * unit[i], factor * unit[rate[i]]
             return position, speed
 
-        joints = gait.joints.items()
+        joints = gait.followed.items()
         each = [rows(joint.of, f"joints.{name}.of") for name, joint in joints]
-        most = max(len(joint.points) for joint in gait.joints.values())
+        most = max(len(joint.points) for joint in gait.followed.values())
         binomial, drive = np.zeros((len(each), most)), np.zeros((len(actions), len(each)))
         for j, (name, joint) in enumerate(joints):
             d = len(joint.points) - 1
@@ -158,7 +169,7 @@ class PhasePolicy(BoundedPolicy):
             phase=np.stack(rows(gait.phase, "phase")),
             joint=np.stack([position for position, _ in each]),
             rate=np.stack([speed for _, speed in each]),
-            gain=np.array([[j.stiffness, j.damping] for j in gait.joints.values()]),
+            gain=np.array([[j.stiffness, j.damping] for j in gait.followed.values()]),
             binomial=binomial,
             place=np.array(place, dtype=float),
             drive=drive,
@@ -167,7 +178,7 @@ class PhasePolicy(BoundedPolicy):
     @cached_property
     def begun(self) -> tuple[Tensor, Tensor]:
         """The vector to begin a search from, and the deviations of random ones, ``[p]``."""
-        gait, joints = self.gait, self.gait.joints.values()
+        gait, joints = self.gait, self.gait.followed.values()
         fed = [joint for joint in joints if joint.feedback is not None]
         middle = [gait.start, gait.width, *(p for j in joints for p in j.points)]
         spread = [gait.spread] * 2 + [j.spread for j in joints for _ in j.points]
@@ -186,7 +197,7 @@ class PhasePolicy(BoundedPolicy):
 
     @property
     def _sizes(self) -> dict[str, int]:
-        joints = self.gait.joints
+        joints = self.gait.followed
         fed = sum(joint.feedback is not None for joint in joints.values())
         points = {name: len(joint.points) for name, joint in joints.items()}
         return {"phase": 2, **points, **({"feedback": fed} if fed else {})}
@@ -210,7 +221,7 @@ class PhasePolicy(BoundedPolicy):
         tau = ((now[..., 0] - start) / width).clamp(0.0, 1.0)
         targets = []
         for j, (first, fed) in enumerate(self.form.place.astype(int).tolist()):
-            count = len(list(self.gait.joints.values())[j].points)
+            count = len(list(self.gait.followed.values())[j].points)
             target = torch.zeros_like(tau)
             for k in range(count):
                 factor = binomial[j, k] * tau**k * (1 - tau) ** (count - 1 - k)

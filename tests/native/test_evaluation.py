@@ -14,7 +14,7 @@ from edtorch.model.told import Told
 from edtorch.native import evaluation
 from edtorch.native.evaluation import Mode, Rides, evaluate_policies
 from edtorch.native.plan import NoKernel
-from edtorch.policy.phase import Followed, PhaseGait, PhasePolicy
+from edtorch.policy.phase import PhaseGait, PhasePolicy
 from edtorch.policy.policies import LinearPolicy, SquashedPolicy
 from edtorch.policy.squash import Squash
 from edtorch.rewards import QuadraticReward
@@ -122,9 +122,11 @@ def test_compiled_episodes_of_policies_by_a_phase_are_the_same() -> None:
         width=3.0,
         spread=0.3,
         joints={
-            "arm": Followed(
-                {"angle": 1.0}, {"torque": 1.0}, 2.0, 0.3, [2.0, -1.0, 3.0], 0.5, 0.1, 0.1
-            )
+            "arm": {
+                **{"of": {"angle": 1.0}, "drives": {"torque": 1.0}, "stiffness": 2.0},
+                **{"damping": 0.3, "points": [2.0, -1.0, 3.0], "spread": 0.5},
+                **{"feedback": 0.1, "spread_feedback": 0.1},
+            }
         },
     )
     squash = Squash(world.action_middle, world.action_half_range)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from edtorch.policy.phase import Followed, PhaseGait, PhasePolicy
+from edtorch.policy.phase import PhaseGait, PhasePolicy
 from edtorch.policy.squash import Squash
 from tests.systems import f64
 
@@ -20,12 +21,18 @@ GAIT = PhaseGait(
     width=0.4,
     spread=0.1,
     joints={
-        "swing": Followed(
-            {"hip": 1.0}, {"b": 1.0}, 4.0, 0.4, [0.1, 0.5, -0.3, 0.2], 0.1, 0.1, 0.05
-        ),
-        "bend": Followed({"hip": 1.0, "lean": -1.0}, {"a": -1.0, "b": 0.5}, 2.0, 0.1, [0.3], 0.05),
+        "swing": {
+            **{"of": {"hip": 1.0}, "drives": {"b": 1.0}, "stiffness": 4.0, "damping": 0.4},
+            **{"points": [0.1, 0.5, -0.3, 0.2], "spread": 0.1},
+            **{"feedback": 0.1, "spread_feedback": 0.05},
+        },
+        "bend": {
+            **{"of": {"hip": 1.0, "lean": -1.0}, "drives": {"a": -1.0, "b": 0.5}},
+            **{"stiffness": 2.0, "damping": 0.1, "points": [0.3], "spread": 0.05},
+        },
     },
 )
+SWING: dict[str, Any] = dict(GAIT.joints["swing"])
 SQUASH = Squash(f64([0.0, 0.5]), f64([1.0, 2.0]))
 
 
@@ -54,7 +61,7 @@ def test_the_raw_action_is_that_of_the_formula() -> None:
 
 
 def test_a_curve_begins_and_ends_at_its_outer_points() -> None:
-    found = policy(replace(GAIT, joints={"swing": replace(GAIT.joints["swing"], feedback=None)}))
+    found = policy(replace(GAIT, joints={"swing": SWING | {"feedback": None}}))
     parameters = found.initial([0])
     for lean, point in ((-0.9, 0.1), (0.9, 0.2)):
         raw = found.raw(parameters, f64([[lean, 0.0, 0.0, 0.0]]))
@@ -84,14 +91,18 @@ def test_the_vector_holds_all_parameters() -> None:
             "phase.knee: expected positions whose rates are read: lean, hip",
         ),
         (
-            {"joints": {"swing": replace(GAIT.joints["swing"], drives={"c": 1.0})}},
+            {"joints": {"swing": SWING | {"drives": {"c": 1.0}}}},
             "joints.swing.drives.c: expected names of a, b",
         ),
         (
-            {"joints": {"swing": replace(GAIT.joints["swing"], points=[])}},
-            r"joints.swing.points=\[\]: expected one or more",
+            {"joints": {"swing": SWING | {"points": []}}},
+            "joints.swing.points: no value given",
         ),
-        ({"joints": {"phase": GAIT.joints["swing"]}}, "joints.phase: expected another name"),
+        (
+            {"joints": {"swing": SWING | {"gain": 1.0}}},
+            "joints.swing.gain: expected one of of, drives, stiffness",
+        ),
+        ({"joints": {"phase": SWING}}, "joints.phase: expected another name"),
     ],
 )
 def test_what_is_no_gait_is_refused(change: dict, message: str) -> None:
