@@ -98,21 +98,26 @@ class LiftedReward:
 
 
 def _row(lift: Lift, place: int, row: Mapping[str, Any]) -> Tensor:
-    coefficients = torch.zeros(lift.size, dtype=torch.float64)
-    known = {CONSTANT: 0} | {n: k for k, n in enumerate(lift.names[1 : lift.action_at], start=1)}
-    for name, value in row.items():
-        if name != REFERENCE and not isinstance(value, int | float):
-            raise ValueError(f"rows[{place}].{name}={value}: expected a number")
     weight = row.get(WEIGHT, 1.0)
     if not weight >= 0:
         raise ValueError(f"rows[{place}].weight={weight}: expected a number >= 0")
+    told = {name: value for name, value in row.items() if name not in (WEIGHT, REFERENCE)}
+    return weight**0.5 * lifted_row(lift, told, f"rows[{place}]", WEIGHT, REFERENCE)
+
+
+def lifted_row(lift: Lift, told: Mapping[str, Any], where: str, *others: str) -> Tensor:
+    """Coefficients ``[A]`` of scaled entries of the lift from those by name, in physical units, as
+    ``LiftedReward`` has them.  ValueError for unknown entries, which begins with ``where``; others:
+    names to list in it, too."""
+    coefficients = torch.zeros(lift.size, dtype=torch.float64)
+    known = {CONSTANT: 0} | {n: k for k, n in enumerate(lift.names[1 : lift.action_at], start=1)}
     plain = zip(lift.at[~lift.angle], lift.unit[~lift.angle], strict=True)
     unit = {int(at): float(unit) for at, unit in plain}
-    for name, value in row.items():
-        if name in (WEIGHT, REFERENCE):
-            continue
+    for name, value in told.items():
         if name not in known:
-            names = ", ".join((*known, WEIGHT, REFERENCE))
-            raise ValueError(f"rows[{place}].{name}={value}: expected one of {names}")
+            names = ", ".join((*known, *others))
+            raise ValueError(f"{where}.{name}={value}: expected one of {names}")
+        if not isinstance(value, int | float):
+            raise ValueError(f"{where}.{name}={value}: expected a number")
         coefficients[known[name]] = value * unit.get(known[name], 1.0)
-    return weight**0.5 * coefficients
+    return coefficients
