@@ -31,6 +31,8 @@ class Purpose(IntEnum):
     """Starts that are only looked at."""
     SOLVED = 9
     """Whether a policy has solved its task."""
+    EXPLORING = 10
+    """The parameters that are tried in the first trials, by trial."""
 
 
 def stream_key(seed: int, purpose: Purpose, episode: int = 0) -> tuple[int, int]:

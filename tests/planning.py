@@ -11,6 +11,7 @@ import torch
 from edtorch.model.lift import Lift
 from edtorch.model.mechanism import Structure
 from edtorch.model.terms import Terms
+from edtorch.model.told import Told
 from edtorch.search.plan import Cost, ramp
 from edtorch.search.problem import SearchProblem
 from edtorch.search.program import kernels
@@ -81,6 +82,13 @@ def search_problem(model: TickModel, cost: Cost) -> SearchProblem:
         judge=None,
         noise=None,
         goal=torch.zeros(cost.ticks + 1, n, dtype=torch.float64),
+        told=Told(
+            names=tuple(f"s{i}" for i in range(n)),
+            unit=(1.0,) * n,
+            angle=tuple(model.structure.lift.angle.tolist()),
+            rate_of=(-1,) * n,
+            actions=tuple(f"u{j}" for j in range(len(model.half))),
+        ),
     )
 
 

@@ -67,7 +67,7 @@ class PlannedSetup:
     threads: int
 
     def length(self, number: int) -> float:
-        """Seconds of a trial at most, by its number."""
+        """Seconds of a run of a trial at most, by the trial's number."""
         search, whole = self.search, self.ticks * self.world.dt
         random = number < search.random_trials
         asked = search.random if random and search.random is not None else search.trial
@@ -133,6 +133,7 @@ def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchPr
         judge=_judge(world),
         noise=noise,
         goal=wanted_states(first, rows, world.dt),
+        told=told,
     )
     return search, problem, told
 

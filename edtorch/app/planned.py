@@ -35,7 +35,7 @@ from edtorch.run.evaluation import Frozen
 from edtorch.run.milestones import first_success
 from edtorch.run.random import Purpose
 from edtorch.run.tick import Source
-from edtorch.run.trial import RandomActions, Trial, run_trials
+from edtorch.run.trial import Perturbed, RandomActions, Trial, run_trials
 from edtorch.search.problem import Improvement
 from edtorch.types import Parameters
 
@@ -130,13 +130,15 @@ class PlannedLearners(Work):
             for row, each in enumerate(self._progress)
             if each.solved is None
             and (setup.trials is None or each.trials < setup.trials)
-            and each.seconds + setup.length(each.trials) <= seconds + 1e-9
+            and each.seconds + setup.length(each.trials) * setup.search.runs(each.trials)
+            <= seconds + 1e-9
         ]
 
-    def _trials(self, rows: list[int], number: int) -> list[Trial | None]:
+    def _trials(self, rows: list[int], number: int) -> list[list[Trial]]:
+        """The runs of the trial of each row, without those that the simulator lost."""
         setup, world = self._setup, self._world
-        ticks = round(setup.length(number) / world.dt)
-        found: dict[int, Trial | None] = {}
+        ticks, runs = round(setup.length(number) / world.dt), setup.search.runs(number)
+        found: dict[int, list[Trial]] = {}
         # A row without a plan acts at random: all of them in the first trials.
         first = number < setup.search.random_trials
         for planned in (False, True):
@@ -144,23 +146,35 @@ class PlannedLearners(Work):
             if not group:
                 continue
             seeds = [setup.seeds[row] for row in group]
-            own = {name: p[group] for name, p in self._parameters.items()}
-            search, hold = setup.search, setup.search.random_hold or world.dt
-            source: Source[Any] = RandomActions(
-                setup.problem.middle,
-                search.random_size * setup.problem.half,
-                max(1, round(hold / world.dt)),
-            )
             left = None
             if planned:
-                source = Frozen(self.actor, own, self.observer)
+                own = {name: p[group] for name, p in self._parameters.items()}
+                own = {name: p.repeat_interleave(runs, dim=0) for name, p in own.items()}
+                source: Source[Any] = Frozen(self.actor, own, self.observer)
                 left = setup.search.left(setup.problem, own)
-            trials = run_trials(source, world, seeds, number, ticks, left)
-            found |= zip(group, trials, strict=True)
+            else:
+                source = self._exploring(seeds, number)
+            trials = run_trials(source, world, seeds, number, ticks, left, runs)
+            for place, row in enumerate(group):
+                own_runs = trials[place * runs : (place + 1) * runs]
+                found[row] = [trial for trial in own_runs if trial is not None]
         return [found[row] for row in rows]
 
+    def _exploring(self, seeds: Sequence[int], number: int) -> Source[Any]:
+        """What acts in the first trials."""
+        setup, search = self._setup, self._setup.search
+        explored = search.explored(setup.problem, seeds, number)
+        if explored is not None:
+            return Perturbed(self.actor, explored.parameters, explored.deviation)
+        hold = search.random_hold or self._world.dt
+        return RandomActions(
+            setup.problem.middle,
+            search.random_size * setup.problem.half,
+            max(1, round(hold / self._world.dt)),
+        )
+
     def _improved(
-        self, rows: list[int], trials: list[Trial | None], number: int
+        self, rows: list[int], trials: list[list[Trial]], number: int
     ) -> list[Mapping[str, float]]:
         """Learn from the trials; the figures of each."""
         with ThreadPoolExecutor(self._setup.threads) as pool:
@@ -169,7 +183,7 @@ class PlannedLearners(Work):
         for row, trial, result in zip(rows, trials, results, strict=True):
             progress, seed = self._progress[row], self.seeds[row]
             progress.trials += 1
-            if trial is None or result is None:
+            if result is None:
                 logger.warning("seed %d: trial %d was lost", seed, number)
                 figures.append({})
                 continue
@@ -177,25 +191,28 @@ class PlannedLearners(Work):
             for name, value in found.parameters.items():
                 self._parameters[name] = self._parameters[name].clone()
                 self._parameters[name][row] = value
-            episode = dataclasses.replace(
-                trial.episode, row=row, number=number, start=progress.seconds
-            )
-            self._episodes.append(episode)
-            progress.learned(found, cpu_s, episode)
+            seconds = 0.0
+            for run in trial:
+                start = progress.seconds + seconds
+                episode = dataclasses.replace(run.episode, row=row, number=number, start=start)
+                self._episodes.append(episode)
+                seconds += episode.seconds
+            progress.learned(found, cpu_s, seconds)
             for note in found.notes:
                 logger.info("seed %d, after trial %d: %s", seed, number + 1, note)
             figures.append(found.figures)
         return figures
 
     def _improvement(
-        self, row: int, trial: Trial | None, number: int
+        self, row: int, trial: list[Trial], number: int
     ) -> tuple[Improvement, float] | None:
         """What a seed learns from a trial, and the CPU seconds of that; None where it was lost."""
-        if trial is None:
+        if not trial:
             return None
         setup, began = self._setup, time.thread_time()
         knowledge = self._progress[row].knowledge
-        knowledge = knowledge.with_trial(trial.readings, trial.actions, trial.valid)
+        for run in trial:
+            knowledge = knowledge.with_trial(run.readings, run.actions, run.valid)
         try:
             found = setup.search.improve(setup.problem, knowledge, setup.seeds[row], number + 1)
         except (FitError, NonFiniteError, NoPlan) as error:
@@ -206,7 +223,7 @@ class PlannedLearners(Work):
     def _judged(
         self,
         rows: list[int],
-        trials: list[Trial | None],
+        trials: list[list[Trial]],
         figures: list[Mapping[str, float]],
         job: Job,
     ) -> list[TrialOutcome]:
@@ -219,7 +236,7 @@ class PlannedLearners(Work):
             fresh = self._evaluated(own, seeds, solved.episodes, Purpose.SOLVED)
         found = []
         for row, trial, about, episodes in zip(rows, trials, figures, fresh, strict=True):
-            whole = trial is not None and trial.whole
+            whole = bool(trial) and all(run.whole for run in trial)
             outcome = TrialOutcome.of(row, whole, episodes, about)
             rate, mean_return = outcome.success_rate, outcome.mean_return
             self._progress[row].judged(rate, solved.holds(rate, mean_return))

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from edtorch.report.experience import SeedExperience
-from edtorch.run.episodes import Episode
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.problem import Improvement
 
@@ -29,12 +28,12 @@ class SeedProgress:
     rates: list[float] = field(default_factory=list)
     cpu_s: list[float] = field(default_factory=list)
 
-    def learned(self, found: Improvement, cpu_s: float, episode: Episode) -> None:
-        """Take what was found after an episode."""
+    def learned(self, found: Improvement, cpu_s: float, seconds: float) -> None:
+        """Take what was found after so many seconds of experience more."""
         self.cpu_s.append(cpu_s)
         self.knowledge = found.knowledge
         self.planned |= bool(found.parameters)
-        self.seconds += episode.seconds
+        self.seconds += seconds
 
     def judged(self, rate: float, solves: bool) -> None:
         """Take the success rate of the policy that it has now; solves: whether the task counts as

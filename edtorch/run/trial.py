@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from edtorch.learner.learner import Actor
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import starts
 from edtorch.run.random import Purpose, Streams, stream_key
@@ -18,6 +19,9 @@ from edtorch.run.tick import Source, Tick
 from edtorch.search.problem import Left
 from edtorch.types import Parameters, Transition
 from sims.base import Outcome
+
+_RUN = 16
+"""Bits of the number of a trial: there are fewer than 2^16."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,30 @@ class RandomActions:
 
 
 @dataclass(frozen=True)
+class Perturbed:
+    """A source of actions of a policy with noise, which learns nothing: parameters ``[B, ...]``;
+    deviation ``[m]``: of the noise, scaled."""
+
+    policy: Actor
+    parameters: Parameters
+    deviation: Tensor
+
+    def begin(self, memory: Parameters, fresh: Tensor, observation: Tensor, /) -> Parameters:
+        """Nothing is remembered."""
+        return memory
+
+    def act(self, memory: Parameters, observation: Tensor, normal: Tensor, /) -> Tensor:
+        """The policy's action and the noise."""
+        return self.policy.action(self.parameters, observation) + self.deviation * normal
+
+    def step(
+        self, memory: Parameters, transition: Transition, /, *, improve: bool
+    ) -> tuple[Parameters, None]:
+        """Nothing is learned."""
+        return memory, None
+
+
+@dataclass(frozen=True)
 class Trial:
     """What a trial gave: readings ``[T + 1, n]`` and actions as applied ``[T, m]``, scaled; valid
     ``[T]``: whether a step is one to learn from; ``episode``: what it was; ``whole``: whether it
@@ -69,15 +97,19 @@ def run_trials(
     number: int,
     ticks: int,
     left: Left | None = None,
+    runs: int = 1,
 ) -> list[Trial | None]:
     """The trial ``number`` of each seed, at most ``ticks`` long, side by side; None where the
-    simulator lost it.
+    simulator lost it.  With several ``runs``, those of a seed follow each other.
 
     A trial that is given up ends with that tick.  (Its row of the simulation goes on for as long as
-    others do; nothing of that is counted or kept.)  Random numbers are those of (seed, number).
+    others do; nothing of that is counted or kept.)  Random numbers are those of (seed, number) and
+    the run.
     """
     m = len(world.spec.action)
-    keys = [stream_key(seed, Purpose.TRIAL, number) for seed in seeds]
+    places = [number + (run << _RUN) for run in range(runs)]
+    keys = [stream_key(seed, Purpose.TRIAL, place) for seed in seeds for place in places]
+    seeds = [seed for seed in seeds for _ in places]
     streams = Streams(keys, world.uniforms, m, world.dtype, world.device)
     size = len(seeds)
     length = torch.full((size,), ticks)

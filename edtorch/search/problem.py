@@ -11,6 +11,7 @@ from torch import Tensor
 
 from edtorch.model.batch_fit import LearnedModel
 from edtorch.model.mechanism import Structure
+from edtorch.model.told import Told
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.search.knowledge import Knowledge
@@ -28,7 +29,8 @@ class SearchProblem:
     of the range of the actions; period ``[n]``: of angles, else 0; dt: s; starts: of a seed to
     readings ``[k, n]`` of starts; judge: of true states ``[*batch, H + 1, n]`` to whether the task
     is done, bool ``[*batch]``, None where the domain has no criterion; noise ``[n]``: standard
-    deviations of readings where they are known; goal ``[H + 1, n]``: the target states of the rows.
+    deviations of readings where they are known; goal ``[H + 1, n]``: the target states of the rows;
+    told: of the components and actions.
     """
 
     names: Sequence[str]
@@ -45,6 +47,7 @@ class SearchProblem:
     judge: Callable[[Tensor], Tensor] | None
     noise: Tensor | None
     goal: Tensor
+    told: Told
 
     @property
     def ticks(self) -> int:
@@ -104,6 +107,15 @@ Left = Callable[[int, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
+class Explored:
+    """What is tried in the first trials: parameters ``[S runs, ...]``, those of a seed side by
+    side, and the standard deviations ``[m]`` of noise added to the actions, scaled."""
+
+    parameters: Parameters
+    deviation: Tensor
+
+
+@dataclass(frozen=True)
 class Improvement:
     """The result of learning from a trial: parameters of the policy, without a population axis; the
     knowledge with its plan; figures by name, for ``metrics.csv``; notes: lines for the user."""
@@ -133,6 +145,17 @@ class TrialSearch(Protocol):
     @property
     def prior(self) -> str:
         """Prior knowledge of the task beyond that of the state's components, in words."""
+        ...
+
+    def runs(self, number: int) -> int:
+        """How many runs the trial of this number has, each up to its end or the trial's length."""
+        ...
+
+    def explored(
+        self, problem: SearchProblem, seeds: Sequence[int], number: int
+    ) -> Explored | None:
+        """What is tried in the first trials, and by seeds without a policy; None: random
+        actions."""
         ...
 
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:

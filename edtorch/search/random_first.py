@@ -1,8 +1,12 @@
-"""The length of trials, and the random trials that a search begins with."""
+"""The length of trials, and the random trials that a search begins with.  Protocol:
+``edtorch.search.problem.TrialSearch``."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from edtorch.search.problem import Explored, SearchProblem
 
 
 @dataclass(frozen=True)
@@ -32,3 +36,13 @@ class RandomFirst:
     def prior(self) -> str:
         """Prior knowledge of the task beyond that of the state's components, in words."""
         return ""
+
+    def runs(self, number: int) -> int:
+        """How many runs the trial of this number has: one."""
+        return 1
+
+    def explored(
+        self, problem: SearchProblem, seeds: Sequence[int], number: int
+    ) -> Explored | None:
+        """What is tried in the first trials: None, random actions."""
+        return None

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from edtorch.run.scaled_sim import World
-from edtorch.run.trial import RandomActions, Trial, look_at_starts, run_trials
+from edtorch.run.trial import Perturbed, RandomActions, Trial, look_at_starts, run_trials
+from edtorch.types import Parameters
 from sims.base import Outcome
 from sims.sensing import Sensed
 from sims.tasks.cart_pole_swing_up import CartPoleSwingUp
@@ -37,6 +38,33 @@ def test_a_seed_alone_has_the_digits_that_it_has_in_a_population() -> None:
 def test_trials_have_numbers_of_their_own() -> None:
     first, second = (run_trials(ACTIONS, _world(), [0], number, 40)[0] for number in (0, 1))
     assert not _same(first, second)
+
+
+def test_a_trial_may_have_several_runs() -> None:
+    """Of each seed side by side, the first of which is the trial of one run."""
+    runs = run_trials(ACTIONS, _world(), [3, 4], 2, 40, runs=3)
+    alone = run_trials(ACTIONS, _world(), [4], 2, 40)[0]
+    assert len(runs) == 6 and _same(runs[3], alone)
+    assert not any(_same(runs[3], other) for other in runs[4:])
+
+
+def test_noise_is_added_to_a_policy() -> None:
+    class Still:
+        def action(self, parameters: Parameters, state: Tensor) -> Tensor:
+            return parameters["push"]
+
+    parameters = {"push": torch.tensor([[0.2], [-0.3]]).double()}
+    source = Perturbed(Still(), parameters, torch.tensor([0.1]).double())
+    for trial, push in zip(run_trials(source, _world(), [0, 1], 0, 40), (0.2, -0.3), strict=True):
+        assert trial is not None
+        assert float(trial.actions.mean()) == pytest.approx(push, abs=0.06)
+        assert float(trial.actions.std()) == pytest.approx(0.1, rel=0.3)
+    quiet = run_trials(
+        Perturbed(Still(), parameters, torch.zeros(1).double()), _world(), [0, 1], 0, 5
+    )
+    assert quiet[1] is not None and torch.equal(
+        quiet[1].actions, parameters["push"][1].expand(5, 1)
+    )
 
 
 def test_readings_follow_from_the_actions() -> None:
