@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from edtorch.app.budget import check_ticks, given_budget
 from edtorch.app.checks import at_least, check_numbers, check_seeds
 from edtorch.app.compute import device_of, evaluation_mode
-from edtorch.app.construct import construct
+from edtorch.app.construct import construct, known_keys
 from edtorch.app.domain import build_sim, changed_domain
 from edtorch.app.errors import ConfigError, under
 from edtorch.app.observation import build_deviations
@@ -23,7 +24,11 @@ from edtorch.app.settings import Settings
 from edtorch.app.solved import Solved, build_solved
 from edtorch.compiled import numba
 from edtorch.errors import Unavailable
+from edtorch.model.chain import impact_terms
+from edtorch.model.lift import Lift
+from edtorch.model.mechanism import Structure
 from edtorch.model.stops import Stops
+from edtorch.model.strike import Strike
 from edtorch.model.told import Told
 from edtorch.native.choice import Mode
 from edtorch.rewards.squares import squares_of
@@ -31,10 +36,13 @@ from edtorch.run.episodes import Budget
 from edtorch.run.policy_file import PolicyCard
 from edtorch.run.scaled_sim import World
 from edtorch.run.trial import look_at_starts
+from edtorch.search.evolution import cmaes_module
+from edtorch.search.hybrid_fit import LearnedHybrid, learn_hybrid
 from edtorch.search.ipopt import casadi_module
 from edtorch.search.problem import SearchProblem, TrialSearch
 from edtorch.search.target import wanted_states
-from edtorch.types import Parameters
+from edtorch.search.tick_model import TickModel
+from edtorch.types import Parameters, Transition
 from sims.base import JudgesStates
 
 STARTS_SEEN = 100
@@ -101,6 +109,53 @@ def build_stops(config: Settings, told: Told) -> Stops | None:
         return Stops.of(told, config.told.stops)
 
 
+def build_strike(config: Settings, told: Told) -> Strike | None:
+    """The strike that is told, None for none.  Raises ConfigError."""
+    given = config.told.strike
+    if not given:
+        return None
+    known_keys("told.strike", given, {"height", "swap", "counter"})
+    try:
+        return Strike.of(
+            told,
+            Lift.of(told),
+            height=given.get("height"),
+            swap=given.get("swap") or {},
+            counter=given.get("counter"),
+        )
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+
+
+def _hybrid(
+    strike: Strike | None,
+    stops: Stops | None,
+    structures: Mapping[str, Structure],
+    told: Told,
+    world: World,
+    noise: Tensor | None,
+) -> Callable[[Transition, int], LearnedHybrid] | None:
+    """See ``SearchProblem``.  Raises ConfigError."""
+    if strike is None:
+        return None
+    if len(structures) != 1 or noise is None:
+        raise ConfigError(
+            f"told.strike: expected one model (model=chain) and observation.noise, found"
+            f" {', '.join(structures)} and {'no' if noise is None else 'known'} noise"
+        )
+    (structure,) = structures.values()
+    with under("told.strike"):
+        features = impact_terms(told, structure.lift)
+    weight = np.zeros((len(structure.learned), structure.terms.count))
+    bounds = world.action_middle.numpy(), world.action_half_range.numpy()
+
+    def learn(transition: Transition, substeps: int) -> LearnedHybrid:
+        model = TickModel(structure, weight, world.dt, *bounds, substeps, stops)
+        return learn_hybrid(model, strike, features, transition, noise)
+
+    return learn
+
+
 def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchProblem, Told]:
     """The search and its problem in a world.  Raises ConfigError, which names the key."""
     told = build_told(config, world)
@@ -134,6 +189,7 @@ def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchPr
         noise=noise,
         goal=wanted_states(first, rows, world.dt),
         told=told,
+        hybrid=_hybrid(build_strike(config, told), stops, structures, told, world, noise),
     )
     return search, problem, told
 
@@ -161,6 +217,11 @@ def build_planned(config: Settings) -> PlannedSetup:
                 casadi_module()
         except Unavailable as error:
             raise ConfigError(f"search.programmed={paths}: {error}") from error
+        try:
+            if "gait" in config.search:
+                cmaes_module()
+        except Unavailable as error:
+            raise ConfigError(f"search={_name(config)}: {error}") from error
     sim = build_sim(config.domain)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     reward = build_reward(config.reward, sim, torch.float64)
@@ -172,6 +233,7 @@ def build_planned(config: Settings) -> PlannedSetup:
     search, problem, told = build_problem(config, world)
     stops, scale = build_stops(config, told), problem.scale.numpy()
     stopped = f"stops: {stops.words(scale)}" if stops else ""
+    struck = "what a strike exchanges, and its height" if problem.hybrid else ""
     seeds = [config.seed + k for k in range(config.seeds)]
     with under("search"):
         actor, _ = search.actor(problem)
@@ -195,7 +257,7 @@ def build_planned(config: Settings) -> PlannedSetup:
         trials=budget.episodes,
         initial=actor.initial(seeds),
         card=policy_card(sim, actor, seeds),
-        told="; ".join(part for part in (told.words, stopped, search.prior) if part),
+        told="; ".join(part for part in (told.words, stopped, struck, search.prior) if part),
         episodes=config.eval.episodes,
         native=evaluation_mode(config),
         threads=config.compute.threads,

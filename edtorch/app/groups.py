@@ -211,7 +211,8 @@ class OnlineGroup:
 @dataclass(frozen=True)
 class ToldGroup:
     """Prior knowledge of the state's components by name, in addition to the domain's, for a search
-    between trials: see ``edtorch.model.told.Told``, and ``edtorch.model.stops.Stops``."""
+    between trials: see ``edtorch.model.told.Told``, ``edtorch.model.stops.Stops`` and
+    ``edtorch.model.strike.Strike``."""
 
     angles: Sequence[str] = ()
     rates: Mapping[str, str] = _empty()
@@ -219,6 +220,7 @@ class ToldGroup:
     ignored: Sequence[str] = ()
     invariant: Sequence[str] = ()
     stops: Mapping[str, Any] | None = None
+    strike: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,9 @@ from edtorch.types import Parameters
 
 logger = logging.getLogger("edtorch")
 
+DOUBTED = 0.5
+"""By how much the rate of success in imagination may exceed that in fresh episodes unsaid."""
+
 
 class PlannedLearners(Work):
     """A search for each seed; its trials run side by side, its plans are made by threads."""
@@ -239,6 +242,13 @@ class PlannedLearners(Work):
             whole = bool(trial) and all(run.whole for run in trial)
             outcome = TrialOutcome.of(row, whole, episodes, about)
             rate, mean_return = outcome.success_rate, outcome.mean_return
+            imagined = about.get("imagined", math.nan)
+            if imagined - rate > DOUBTED:
+                logger.info(
+                    "seed %d: imagination accepts what reality does not: of imagined trials %.2f"
+                    " succeeded, of fresh episodes %.2f",
+                    *(self.seeds[row], imagined, rate),
+                )
             self._progress[row].judged(rate, solved.holds(rate, mean_return))
             found.append(outcome)
         return found

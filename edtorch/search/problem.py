@@ -14,6 +14,7 @@ from edtorch.model.mechanism import Structure
 from edtorch.model.told import Told
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
+from edtorch.search.hybrid_fit import LearnedHybrid
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.tick_model import TickModel
 from edtorch.types import Parameters, Transition
@@ -30,7 +31,8 @@ class SearchProblem:
     readings ``[k, n]`` of starts; judge: of true states ``[*batch, H + 1, n]`` to whether the task
     is done, bool ``[*batch]``, None where the domain has no criterion; noise ``[n]``: standard
     deviations of readings where they are known; goal ``[H + 1, n]``: the target states of the rows;
-    told: of the components and actions.
+    told: of the components and actions; hybrid: a model with strikes from transitions, over ticks
+    of so many steps, None where no strike is told.
     """
 
     names: Sequence[str]
@@ -48,6 +50,7 @@ class SearchProblem:
     noise: Tensor | None
     goal: Tensor
     told: Told
+    hybrid: Callable[[Transition, int], LearnedHybrid] | None = None
 
     @property
     def ticks(self) -> int:

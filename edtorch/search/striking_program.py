@@ -16,7 +16,7 @@ import numpy as np
 from edtorch.compiled import ModuleSource, load_kernel
 
 _FOLDER = Path(__file__).parent / "kernels"
-_TEXTS = ("mechanism.py", "stops.py", "tick.py", "strikes.py")
+_TEXTS = ("mechanism.py", "stops.py", "tick.py", "strikes.py", "phase.py", "phase_runs.py")
 
 
 def _entries() -> dict[str, tuple[object, ...]]:
@@ -29,7 +29,12 @@ def _entries() -> dict[str, tuple[object, ...]]:
     lift, motion = (np.zeros(1, np.bool_), index, one, 1), (index, index, one, 0.1, 1)
     model = (lift, terms, motion, stops)
     strike = (one, index, index, one, (index, index, index), two)
+    form, ends = (two, two, two, two, two, two, two), (two, two, two, index, 0.1)
+    counts = np.zeros((1, 1), np.int64)
     return {
+        "phase_runs": (
+            *(two, three, two, two, model, strike, (one, one), form, ends, counts, counts),
+        ),
         "held_paths": (two, shut, one, two, model, three),
         "striking_rollouts": (three, four, three, model, strike, four),
     }

@@ -1,0 +1,62 @@
+"""Imagined runs of policies by a phase, each until it ends: how far, and how often something was
+struck."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edtorch.policy.phase import PhaseForm
+from edtorch.search.ground import NO_GROUND, GroundForce
+from edtorch.search.striking import StrikingModel
+from edtorch.search.striking_program import striking_kernels
+from edtorch.search.tick_model import real, whole
+
+
+@dataclass(frozen=True, eq=False)
+class RunEnds:
+    """When a run ends: always, landed ``[R, A]``, rows of the lift that must stay above zero, all
+    the time and just after a strike; a force of the ground that would have to pull, or whose
+    forward part exceeds ``friction`` times the upward one."""
+
+    always: np.ndarray
+    landed: np.ndarray
+    ground: GroundForce = NO_GROUND
+    friction: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseRuns:
+    """ticks, strikes ``[C, P]``: made before the end."""
+
+    ticks: np.ndarray
+    strikes: np.ndarray
+
+
+def phase_runs(
+    model: StrikingModel,
+    form: PhaseForm,
+    vectors: np.ndarray,
+    start: np.ndarray,
+    push: np.ndarray,
+    ends: RunEnds,
+) -> PhaseRuns:
+    """Of policies ``[C, p]`` from starts ``[P, n]``, with ``push`` ``[P, H, m]`` added to their
+    actions, a run being as long as its row of ``push`` is not nan; all scaled.
+
+    Raises Unavailable where the kernels cannot be compiled.
+    """
+    shape = (len(vectors), len(start))
+    ticks, strikes = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    parts, strike = model.parts
+    given = (
+        *(real(ends.always), real(ends.landed), real(ends.ground.weight)),
+        *(whole(ends.ground.hinge, np.int64), float(ends.friction)),
+    )
+    striking_kernels()["phase_runs"](
+        *(real(start), real(push), real(vectors), real(model.free.weight)),
+        *(parts, strike, model.free.bounds, tuple(map(real, form.arrays)), given),
+        *(ticks, strikes),
+    )
+    return PhaseRuns(ticks, strikes)

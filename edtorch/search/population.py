@@ -1,0 +1,262 @@
+"""Search for a gait by a population: what walks best in imagination, in a learned model with stops
+and strikes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from edtorch.model.event_free import free_ticks
+from edtorch.model.lift import Lift
+from edtorch.model.stops import Stops
+from edtorch.policy.memory import EpisodeMemory
+from edtorch.policy.phase import PhaseGait, PhasePolicy
+from edtorch.policy.policies import Policy
+from edtorch.policy.squash import Squash
+from edtorch.rewards.lifted import lifted_row
+from edtorch.search.evolution import evolve
+from edtorch.search.ground import NO_GROUND, fit_ground
+from edtorch.search.knowledge import Knowledge
+from edtorch.search.phase_runs import PhaseRuns, RunEnds, phase_runs
+from edtorch.search.problem import Explored, Improvement, Left, SearchProblem
+from edtorch.search.random_first import RandomFirst
+from edtorch.search.striking import StrikingModel
+from edtorch.seeding import Purpose, numpy_generator
+from edtorch.types import Parameters
+
+
+@dataclass(frozen=True)
+class Stage:
+    """generations of ``size`` policies, each tried from ``long`` starts for ``seconds`` and from
+    ``short`` starts for ``short_seconds``; friction: that the ground is held to have, None for any;
+    push: deviation of noise added to the actions, in parts of half their range."""
+
+    generations: int
+    size: int
+    long: int
+    seconds: float
+    short: int = 0
+    short_seconds: float = 0.0
+    friction: float | None = None
+    push: float = 0.0
+
+
+ROUGH = Stage(40, 24, 2, 3.0)
+FINE = Stage(25, 16, 8, 5.0, 16, 2.0, 0.6, 0.05)
+
+
+@dataclass(frozen=True)
+class PopulationSearch(RandomFirst):
+    """A policy by a phase (``edtorch.policy.phase``), in imagined runs that begin at starts that
+    were seen.
+
+    A run scores its strikes and the share of its time before it ended, per second of it; a policy
+    the mean of its runs and half the worst.  ``restarts`` searches of the stage ``rough`` begin at
+    the gait as it is told, one at the last policy if there is one; ``fine`` goes on from the best
+    of them, with deviations times ``narrow``.
+
+    The first trial is ``first_runs`` runs with parameters drawn by the gait's deviations and noise
+    of deviation ``noise``, in parts of half the range; a later one ``later_runs`` runs.
+
+    always, landed: rows of the lift, by name in physical units as a reward's (``reward=lifted``),
+    that stay above zero until a run ends, and just after a strike.  forward, up: components that
+    read the force of the ground, of which both are learned; None: nothing slips.
+    """
+
+    gait: PhaseGait = field(kw_only=True)
+    first_runs: int = 40
+    later_runs: int = 4
+    noise: float = 0.2
+    restarts: int = 2
+    narrow: float = 0.3
+    always: Sequence[Mapping[str, float]] = ()
+    landed: Sequence[Mapping[str, float]] = ()
+    forward: str | None = None
+    up: str | None = None
+    rough: Stage = ROUGH
+    fine: Stage = FINE
+    substeps: int = 1
+
+    figures = (
+        *("transitions", "free", "strikes", "force_error", "policies", "imagined_strikes"),
+        *("imagined", "score"),
+    )
+
+    def __post_init__(self) -> None:
+        """Reject invalid settings."""
+        super().__post_init__()
+        for name in ("first_runs", "later_runs", "restarts", "substeps"):
+            value = getattr(self, name)
+            if value < 1:
+                raise ValueError(f"{name}={value}: expected an integer >= 1")
+        if (self.forward is None) != (self.up is None):
+            raise ValueError(
+                f"forward={self.forward}, up={self.up}: expected names of both or null for both"
+            )
+
+    @property
+    def prior(self) -> str:
+        """See ``RandomFirst``."""
+        told = [f"the gait's phase {_words(self.gait.phase)}, its gains and where it begins"]
+        told += [f"{_words(row)} > 0" for row in self.always]
+        told += [f"after a strike {_words(row)} > 0" for row in self.landed]
+        return "; ".join(told)
+
+    def runs(self, number: int) -> int:
+        """See ``RandomFirst``."""
+        return self.first_runs if number < self.random_trials else self.later_runs
+
+    def explored(self, problem: SearchProblem, seeds: Sequence[int], number: int) -> Explored:
+        """See ``RandomFirst``: about the gait as it is told."""
+        policy, runs = self._policy(problem), self.runs(number)
+        generators = [numpy_generator(seed, Purpose.EXPLORING, number) for seed in seeds]
+        drawn = [policy.random(runs, 1.0, generator) for generator in generators]
+        parameters = {name: torch.cat([own[name] for own in drawn]) for name in drawn[0]}
+        return Explored(parameters, self.noise * problem.half)
+
+    def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
+        """See ``TrialSearch``.  ValueError for a task without strikes, and for unknown names."""
+        if problem.hybrid is None:
+            raise ValueError("population: expected a strike that is told (told.strike)")
+        self._ends(problem)
+        self._forces(problem)
+        return self._policy(problem), None
+
+    def left(self, problem: SearchProblem, parameters: Parameters) -> Left | None:
+        """See ``TrialSearch``: never."""
+        return None
+
+    def improve(
+        self, problem: SearchProblem, knowledge: Knowledge, seed: int, trial: int
+    ) -> Improvement:
+        """See ``TrialSearch``."""
+        assert problem.hybrid is not None and problem.noise is not None
+        transitions = knowledge.transitions(problem.dt)
+        learned = problem.hybrid(transitions, self.substeps)
+        ends, forces = self._ends(problem), self._forces(problem)
+        if forces is not None:
+            known = learned.model
+            stops = known.free.stops or Stops.none(len(problem.names))
+            free = free_ticks(transitions, stops, known.strike, problem.noise)
+            calm = replace(transitions, valid=free)
+            force = fit_ground(known.free.structure, calm, forces, problem.scale)
+            ends = replace(ends, ground=force)
+        policy = self._policy(problem)
+        told, deviation = (part.numpy() for part in policy.begun)
+        generator = numpy_generator(seed, Purpose.PLAN, trial)
+        imagined = _Imagined(problem, learned.model, policy, ends, problem.starts(seed), generator)
+        beginnings = [told] * self.restarts
+        beginnings += [policy.vector(plan).numpy() for plan in knowledge.plans[:1]]
+        rough = [
+            evolve(
+                imagined.cost_of(self.rough),
+                *(beginning, deviation, 1.0 if beginning is told else self.narrow),
+                *(self.rough.generations, self.rough.size, _seed(generator)),
+            )
+            for beginning in beginnings
+        ]
+        cost = imagined.cost_of(self.fine)
+        begun = np.stack([each.vector for each in rough])
+        best = begun[int(cost(begun).argmin())]
+        found = evolve(
+            cost,
+            *(best, deviation, self.narrow, self.fine.generations, self.fine.size),
+            _seed(generator),
+        )
+        parameters = policy.of_vector(torch.from_numpy(found.vector))
+        runs = imagined.runs(found.vector[None], self.fine)
+        whole = (runs.ticks == imagined.lengths(self.fine)).mean()
+        return Improvement(
+            parameters,
+            knowledge.with_plan(parameters),
+            {
+                "transitions": float(transitions.valid.sum()),
+                "free": float(learned.free),
+                "strikes": float(learned.strikes),
+                "force_error": float(ends.ground.error[1]),
+                "policies": float(found.tried + sum(each.tried for each in rough)),
+                "imagined_strikes": float(runs.strikes[0, : self.fine.long].mean()),
+                "imagined": float(whole),
+                "score": -found.cost,
+            },
+        )
+
+    def _policy(self, problem: SearchProblem) -> PhasePolicy:
+        told, squash = problem.told, Squash(problem.middle, problem.half)
+        return PhasePolicy(self.gait, told.names, told.unit, told.rate, told.actions, squash)
+
+    def _ends(self, problem: SearchProblem) -> RunEnds:
+        lift = Lift.of(problem.told)
+
+        def rows(named: Sequence[Mapping[str, float]], key: str) -> np.ndarray:
+            found = [lifted_row(lift, row, f"{key}[{k}]").numpy() for k, row in enumerate(named)]
+            return np.array(found).reshape(len(found), lift.size)
+
+        return RunEnds(rows(self.always, "always"), rows(self.landed, "landed"), NO_GROUND)
+
+    def _forces(self, problem: SearchProblem) -> tuple[int, int] | None:
+        if self.forward is None or self.up is None:
+            return None
+        for key, name in (("forward", self.forward), ("up", self.up)):
+            if name not in problem.names:
+                known = ", ".join(problem.names)
+                raise ValueError(f"{key}={name}: expected one of {known}")
+        return problem.names.index(self.forward), problem.names.index(self.up)
+
+
+class _Imagined:
+    """Costs of policies in one model: the starts and the noise are the same for all of them."""
+
+    def __init__(
+        self,
+        problem: SearchProblem,
+        model: StrikingModel,
+        policy: PhasePolicy,
+        ends: RunEnds,
+        starts: Tensor,
+        generator: np.random.Generator,
+    ) -> None:
+        self._model, self._policy, self._ends = model, policy, ends
+        self._dt, self._half = problem.dt, problem.half.numpy()
+        self._starts, self._seed = starts.numpy(), _seed(generator)
+
+    def lengths(self, stage: Stage) -> np.ndarray:
+        """Ticks ``[P]`` of the runs of a stage."""
+        each = [(stage.seconds, stage.long), (stage.short_seconds, stage.short)]
+        return np.repeat([round(s / self._dt) for s, _ in each], [count for _, count in each])
+
+    def runs(self, vectors: np.ndarray, stage: Stage) -> PhaseRuns:
+        """Of policies ``[C, p]``."""
+        generator, length = np.random.default_rng(self._seed), self.lengths(stage)
+        which = generator.permutation(len(self._starts))[: len(length)]
+        push = self._half * stage.push
+        push = push * generator.standard_normal((len(length), length.max(), len(self._half)))
+        push[np.arange(length.max()) >= length[:, None]] = np.nan
+        friction = np.inf if stage.friction is None else stage.friction
+        ends = replace(self._ends, friction=friction)
+        start = self._starts[which]
+        return phase_runs(self._model, self._policy.form, vectors, start, push, ends)
+
+    def cost_of(self, stage: Stage) -> Any:
+        """A function of vectors ``[C, p]``: minus the score ``[C]``."""
+        length = self.lengths(stage)
+
+        def cost(vectors: np.ndarray) -> np.ndarray:
+            runs = self.runs(vectors, stage)
+            score = (runs.strikes + runs.ticks / length) / (length * self._dt)
+            return -(score.mean(1) + 0.5 * score.min(1))
+
+        return cost
+
+
+def _seed(generator: np.random.Generator) -> int:
+    return int(generator.integers(2**31))
+
+
+def _words(row: Mapping[str, float]) -> str:
+    return " + ".join(f"{value:g} {name}" for name, value in row.items())

@@ -1,0 +1,93 @@
+"""Imagined runs of a gait: tick by tick as the model's own ticks, and each end by its own cause."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from edtorch.policy.phase import PhaseGait, PhasePolicy
+from edtorch.policy.squash import Squash
+from edtorch.rewards.lifted import lifted_row
+from edtorch.search.ground import GroundForce
+from edtorch.search.phase_runs import RunEnds, phase_runs
+from edtorch.search.striking import struck_states
+from sims.tasks.walker import START
+from tests.search.test_striking import true_model
+from tests.walkers import TOLD
+
+pytestmark = pytest.mark.oracle
+
+TICKS = 60
+MODEL = true_model(1)
+LIFT = MODEL.free.structure.lift
+
+
+def joint(of: dict[str, float], drives: str, points: list[float], sign: float = 1.0) -> dict:
+    about = {"stiffness": 4.0, "damping": 0.4, "points": points, "spread": 0.1}
+    return {"of": of, "drives": {drives: sign}, **about}
+
+
+GAIT = PhaseGait(
+    phase={"stance_shank": 0.5, "stance_thigh": 0.5},
+    start=-0.15,
+    width=0.35,
+    spread=0.05,
+    joints={
+        "thigh": joint({"swing_thigh": 1.0}, "swing_hip", [0.25, 0.3, -0.2, -0.3]),
+        "knee": joint({"swing_shank": 1.0, "swing_thigh": -1.0}, "swing_knee", [0.4, 0.9, 0.2]),
+        "torso": joint({"torso": 1.0}, "stance_hip", [0.05], -1.0),
+    },
+)
+POLICY = PhasePolicy(
+    *(GAIT, TOLD.names, TOLD.unit, TOLD.rate, TOLD.actions),
+    Squash(torch.zeros(4).double(), torch.ones(4).double()),
+)
+VECTORS = POLICY.vector(POLICY.random(2, 1.0, np.random.default_rng(1)))
+
+
+def ends(*always: dict[str, float], **more: object) -> RunEnds:
+    rows = [lifted_row(LIFT, row, "always").numpy() for row in always]
+    none = np.zeros((0, LIFT.size))
+    return RunEnds(np.array(rows).reshape(len(rows), LIFT.size), none, **more)  # pyright: ignore
+
+
+def begun() -> np.ndarray:
+    start = np.zeros((1, 13))
+    start[0, 0:10:2] = START
+    return start
+
+
+def test_runs_are_ticks_of_the_model_under_the_policy() -> None:
+    push = np.zeros((1, TICKS, 4))
+    push[:, :, 0] = 0.02
+    runs = phase_runs(MODEL, POLICY.form, VECTORS.numpy(), begun(), push, ends())
+    for c in range(2):
+        state, parameters = begun(), POLICY.of_vector(VECTORS[c : c + 1])
+        for t in range(int(runs.ticks[0 if c == 0 else 1, 0])):
+            action = POLICY.action(parameters, torch.from_numpy(state)).numpy() + push[:, t]
+            state = struck_states(MODEL, state, action.clip(-1, 1)[:, None])[:, 1]
+        assert np.isfinite(state).all()
+        assert runs.strikes[c, 0] == round(float(state[0, 10] * TOLD.unit[10]))
+    assert runs.ticks.max() == TICKS
+
+
+def test_a_run_ends_where_a_row_falls_below_zero_or_its_noise_ends() -> None:
+    push = np.zeros((2, TICKS, 4))
+    push[1, 7:] = np.nan
+    start = begun().repeat(2, 0)
+    # The virtual leg leans forward all the time.
+    row = {"sin stance_shank": -1.0, "sin stance_thigh": -1.0, "constant": 0.3}
+    runs = phase_runs(MODEL, POLICY.form, VECTORS[:1].numpy(), start, push, ends(row))
+    assert 7 < runs.ticks[0, 0] < TICKS and runs.ticks[0, 1] == 7
+
+
+def test_a_run_ends_where_the_ground_does_not_hold() -> None:
+    weight = np.zeros((2, 21))
+    weight[:, 20] = 5.0, 10.0
+    push, hinge = np.zeros((1, TICKS, 4)), np.arange(0, 10, 2)
+    for friction, ticks in ((0.51, TICKS), (0.49, 0)):
+        ground = GroundForce(weight, hinge, np.zeros(2))
+        about = ends(ground=ground, friction=friction)
+        runs = phase_runs(MODEL, POLICY.form, VECTORS[:1].numpy(), begun(), push, about)
+        assert int(runs.ticks[0, 0]) == ticks
