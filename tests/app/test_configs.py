@@ -79,6 +79,7 @@ BESIDE = {
     ("fit", "paths"): SEARCH,
     ("reward", "lifted"): SEARCH,
     ("search", "planned"): SEARCH,
+    ("search", "population"): ["experiment=walker"],
     **{
         ("search", name): [
             *("experiment=swingup", "domain=pendulum_swingup", "+reward.state.angle=1"),
