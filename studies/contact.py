@@ -40,7 +40,7 @@ from edtorch.model.path_fit import fit_paths
 from edtorch.model.stops import Stops
 from edtorch.model.strike import Strike
 from edtorch.model.told import Told
-from edtorch.policy.phase import Followed, PhaseGait, PhasePolicy
+from edtorch.policy.phase import PhaseGait, PhasePolicy
 from edtorch.policy.squash import Squash
 from edtorch.report.canvas import HUES, WIDE, blank, styled
 from edtorch.search.hybrid_fit import learn_hybrid
@@ -71,7 +71,7 @@ GAIT = PhaseGait(
     width=0.45,
     spread=0.0,
     joints={
-        "stance_knee": Followed(
+        "stance_knee": dict(
             of={"stance_shank": 1.0, "stance_thigh": -1.0},
             drives={"stance_knee": 1.0},
             stiffness=12.0,
@@ -79,7 +79,7 @@ GAIT = PhaseGait(
             points=(0.08, 0.09, 0.07, 0.07),
             spread=0.03,
         ),
-        "torso": Followed(
+        "torso": dict(
             of={"torso": 1.0},
             drives={"stance_hip": -1.0},
             stiffness=2.7,
@@ -87,7 +87,7 @@ GAIT = PhaseGait(
             points=(0.19,),
             spread=0.1,
         ),
-        "swing_thigh": Followed(
+        "swing_thigh": dict(
             of={"swing_thigh": 1.0},
             drives={"swing_hip": 1.0},
             stiffness=2.0,
@@ -95,7 +95,7 @@ GAIT = PhaseGait(
             points=(0.0, -0.46, -0.27, -0.33),
             spread=0.1,
         ),
-        "swing_knee": Followed(
+        "swing_knee": dict(
             of={"swing_shank": 1.0, "swing_thigh": -1.0},
             drives={"swing_knee": 1.0},
             stiffness=4.0,
