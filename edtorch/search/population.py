@@ -31,7 +31,7 @@ from edtorch.types import Parameters
 
 
 @dataclass(frozen=True)
-class Stage:
+class RunStage:
     """generations of ``size`` policies, each tried from ``long`` starts for ``seconds`` and from
     ``short`` starts for ``short_seconds``; friction: that the ground is held to have, None for any;
     push: deviation of noise added to the actions, in parts of half their range."""
@@ -40,14 +40,14 @@ class Stage:
     size: int
     long: int
     seconds: float
-    short: int = 0
-    short_seconds: float = 0.0
-    friction: float | None = None
-    push: float = 0.0
+    short: int
+    short_seconds: float
+    friction: float | None
+    push: float
 
 
-ROUGH = Stage(40, 24, 2, 3.0)
-FINE = Stage(25, 16, 8, 5.0, 16, 2.0, 0.6, 0.05)
+ROUGH = RunStage(40, 24, 2, 3.0, 0, 0.0, None, 0.0)
+FINE = RunStage(25, 16, 8, 5.0, 16, 2.0, 0.6, 0.05)
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class PopulationSearch(RandomFirst):
     landed: Sequence[Mapping[str, float]] = ()
     forward: str | None = None
     up: str | None = None
-    rough: Stage = ROUGH
-    fine: Stage = FINE
+    rough: RunStage = ROUGH
+    fine: RunStage = FINE
     substeps: int = 1
 
     figures = (
@@ -225,12 +225,12 @@ class _Imagined:
         self._dt, self._half = problem.dt, problem.half.numpy()
         self._starts, self._seed = starts.numpy(), _seed(generator)
 
-    def lengths(self, stage: Stage) -> np.ndarray:
+    def lengths(self, stage: RunStage) -> np.ndarray:
         """Ticks ``[P]`` of the runs of a stage."""
         each = [(stage.seconds, stage.long), (stage.short_seconds, stage.short)]
         return np.repeat([round(s / self._dt) for s, _ in each], [count for _, count in each])
 
-    def runs(self, vectors: np.ndarray, stage: Stage) -> PhaseRuns:
+    def runs(self, vectors: np.ndarray, stage: RunStage) -> PhaseRuns:
         """Of policies ``[C, p]``."""
         generator, length = np.random.default_rng(self._seed), self.lengths(stage)
         which = generator.permutation(len(self._starts))[: len(length)]
@@ -242,7 +242,7 @@ class _Imagined:
         start = self._starts[which]
         return phase_runs(self._model, self._policy.form, vectors, start, push, ends)
 
-    def cost_of(self, stage: Stage) -> Any:
+    def cost_of(self, stage: RunStage) -> Any:
         """A function of vectors ``[C, p]``: minus the score ``[C]``."""
         length = self.lengths(stage)
 
