@@ -53,6 +53,16 @@ def test_the_force_is_that_of_newton() -> None:
     assert float(left.abs().max()) < 1e-2 < 1e-3 * float(told.std())
 
 
+def test_ticks_in_which_motion_stops_weigh_little() -> None:
+    built, given = structure(), transitions(400)
+    given.next_state[::40, 1:10:2] = given.state[::40, 1:10:2]
+    found = fit_ground(built, given, (11, 12), UNIT)
+    new = transitions(100)
+    told = (new.next_state * UNIT)[:, 11:]
+    left = ground_features(built, new, found.hinge) @ torch.from_numpy(found.weight).mT - told
+    assert float(left.abs().median()) < 1.0
+
+
 def test_too_few_ticks_are_refused() -> None:
     with pytest.raises(FitError, match="transitions: 12 without an impact, expected 21 or more"):
         fit_ground(structure(), transitions(12), (11, 12), UNIT)
