@@ -14,9 +14,13 @@ from edtorch.model.stops import Stops
 from edtorch.model.terms import Terms
 from edtorch.model.told import Told
 from edtorch.search.tick_model import TickModel
+from edtorch.search.ticks import CompiledTicks
+from edtorch.transform import Guarded
 from sims.tasks.pendulum_swing_up import FRICTION, GRAVITY, LENGTH, MASS
 from sims.tasks.stop_pendulum import HIGH, LOW, StopPendulum
+from tests.guards import rod
 from tests.planning import tick_once
+from tests.systems import f64
 
 LEVER, INERTIA = MASS * GRAVITY * LENGTH / 2, MASS * LENGTH**2 / 3
 BETWEEN = {
@@ -164,3 +168,14 @@ def test_without_saltation_the_time_of_a_hit_is_held() -> None:
     without = tick_once(pendulum(False), pendulum().weight, x, np.array([-1.0]))[1]
     assert np.abs(with_it).max() < 1e-9
     assert without[0, 0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_compiled_tick_at_a_stop_is_a_guarded_one() -> None:
+    """Two ways to the same event, and to its derivative: of a force that shuts the stop, and of a
+    reset of the rate."""
+    x = f64([[LOW + 0.05, -2.0, 0.0], [LOW + 0.12, -3.0, 3.0], [0.4, -1.0, 0.5]])
+    ticks, guarded, scale = CompiledTicks(pendulum()), Guarded(rod(), 0.05, 5), f64([1.0, 6.0, 3.0])
+    state, action = x[:, :2] / scale[:2], x[:, 2:] / scale[2:]
+    assert torch.allclose(ticks(state, action), guarded(x)[:, :2] / scale[:2], atol=1e-6)
+    by = guarded.jacobian(x)[:, :2] * scale / scale[:2, None]
+    assert torch.allclose(ticks.jacobian(state, action), by, atol=1e-5)
