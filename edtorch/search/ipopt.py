@@ -120,7 +120,7 @@ def tick_function(casadi: Any, model: TickModel) -> Any:
 
 def _slope(casadi: Any, model: TickModel, s: Any, action: Any) -> Any:
     """ds/dt: (I - N) f = h for what is learned."""
-    (angle, at, unit, action_at), (parent, factor, node, derivative), motion, _ = model.parts
+    (angle, at, unit, action_at), (parent, factor, node, derivative, _), motion, _ = model.parts
     learned, source, ratio = motion[:3]
     entry = [1.0] * (action_at + len(model.half))
     for i, first in enumerate(at):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ TOLD = Told.of(StopPendulum().spec)
 STRUCTURE = Structure.of(TOLD, Lift.of(TOLD), Terms.implicit(TOLD, Lift.of(TOLD)))
 LEVER, INERTIA = MASS * GRAVITY * LENGTH / 2, MASS * LENGTH**2 / 3
 NOISE = 0.003
+FIT = partial(fit_paths, passes=2)
 
 
 def stops(lower: float | None = None, upper: float | None = None) -> Stops:
@@ -64,7 +66,7 @@ def test_stops_are_where_ticks_break() -> None:
     seen = set[str]()
     for start in (math.pi, -0.3):
         transition, touched = data(start)
-        found = find_events(STRUCTURE, stops(), transition, fit_paths)
+        found = find_events(STRUCTURE, stops(), transition, FIT)
         names = [n for n, hit in zip(("lower", "upper"), touched.any(0), strict=True) if hit]
         assert list(found.stops.names) == names
         for name, level in zip(names, found.stops.level, strict=True):
@@ -79,7 +81,7 @@ def test_stops_are_where_ticks_break() -> None:
 
 def test_the_model_of_free_motion_is_that_without_stops() -> None:
     transition, _ = data(math.pi)
-    found = find_events(STRUCTURE, stops(), transition, fit_paths)
+    found = find_events(STRUCTURE, stops(), transition, FIT)
     probe = torch.tensor([[a, r] for a in (2.0, 2.7, 3.4) for r in (-0.3, 0.3)]).double()
     push = torch.full((6, 1), 0.5, dtype=torch.float64)
     exact = (1.5 + LEVER * probe[:, :1].sin() - FRICTION * 6 * probe[:, 1:]) / INERTIA / 6
@@ -95,7 +97,7 @@ def test_the_model_of_free_motion_is_that_without_stops() -> None:
 def test_without_a_hit_there_is_one_mode() -> None:
     transition, touched = data(math.pi, size=0.3)
     assert not bool(touched.any())
-    found = find_events(STRUCTURE, stops(), transition, fit_paths)
+    found = find_events(STRUCTURE, stops(), transition, FIT)
     assert len(found.stops) == 0 and bool(found.free.all())
     assert len(found.notes) == 2
 
@@ -103,8 +105,8 @@ def test_without_a_hit_there_is_one_mode() -> None:
 def test_readings_beyond_a_stop_that_is_told_are_an_error() -> None:
     transition, _ = data(math.pi)
     with pytest.raises(FitError, match=r"told.stops.upper: \d+ readings lie beyond it, by up to"):
-        find_events(STRUCTURE, stops(None, -(HIGH - 0.3)), transition, fit_paths)
-    found = find_events(STRUCTURE, stops(LOW, -HIGH), transition, fit_paths)
+        find_events(STRUCTURE, stops(None, -(HIGH - 0.3)), transition, FIT)
+    found = find_events(STRUCTURE, stops(LOW, -HIGH), transition, FIT)
     assert found.stops.names == ("lower", "upper") and not found.notes
 
 
