@@ -9,6 +9,7 @@ import numpy as np
 
 from edtorch.policy.phase import PhaseForm
 from edtorch.search.ground import NO_GROUND, GroundForce
+from edtorch.search.imagination import Futures
 from edtorch.search.striking import StrikingModel
 from edtorch.search.striking_program import striking_kernels
 from edtorch.search.tick_model import real, whole
@@ -38,16 +39,16 @@ def phase_runs(
     model: StrikingModel,
     form: PhaseForm,
     vectors: np.ndarray,
-    start: np.ndarray,
+    futures: Futures,
     push: np.ndarray,
     ends: RunEnds,
 ) -> PhaseRuns:
-    """Of policies ``[C, p]`` from starts ``[P, n]``, with ``push`` ``[P, H, m]`` added to their
-    actions, a run being as long as its row of ``push`` is not nan; all scaled.
+    """Of policies ``[C, p]`` in P futures, with ``push`` ``[P, H, m]`` added to their actions.  A
+    run is as long as its row of ``push`` is not nan.  All scaled.
 
     Raises Unavailable where the kernels cannot be compiled.
     """
-    shape = (len(vectors), len(start))
+    shape = (len(vectors), len(futures.start))
     ticks, strikes = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     parts, strike = model.parts
     given = (
@@ -55,7 +56,8 @@ def phase_runs(
         *(whole(ends.ground.hinge, np.int64), float(ends.friction)),
     )
     striking_kernels()["phase_runs"](
-        *(real(start), real(push), real(vectors), real(model.free.weight)),
+        *(real(futures.start), real(push), real(futures.noise), real(vectors)),
+        real(futures.weight),
         *(parts, strike, model.free.bounds, tuple(map(real, form.arrays)), given),
         *(ticks, strikes),
     )

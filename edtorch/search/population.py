@@ -19,13 +19,14 @@ from edtorch.policy.phase import PhaseGait, PhasePolicy
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash
 from edtorch.rewards.lifted import lifted_row
+from edtorch.search.choice import futures_of
 from edtorch.search.evolution import evolve
 from edtorch.search.ground import NO_GROUND, fit_ground
+from edtorch.search.hybrid_fit import LearnedHybrid
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.phase_runs import PhaseRuns, RunEnds, phase_runs
 from edtorch.search.problem import Explored, Improvement, Left, SearchProblem
 from edtorch.search.random_first import RandomFirst
-from edtorch.search.striking import StrikingModel
 from edtorch.seeding import Purpose, numpy_generator
 from edtorch.types import Parameters
 
@@ -34,7 +35,9 @@ from edtorch.types import Parameters
 class RunStage:
     """generations of ``size`` policies, each tried from ``long`` starts for ``seconds`` and from
     ``short`` starts for ``short_seconds``; friction: that the ground is held to have, None for any;
-    push: deviation of noise added to the actions, in parts of half their range."""
+    push: deviation of noise added to the actions, in parts of half their range; doubt: each start
+    has a model of its own, drawn from the posterior with its deviations times this; reading:
+    whether readings err."""
 
     generations: int
     size: int
@@ -44,10 +47,12 @@ class RunStage:
     short_seconds: float
     friction: float | None
     push: float
+    doubt: float
+    reading: bool
 
 
-ROUGH = RunStage(40, 24, 2, 3.0, 0, 0.0, None, 0.0)
-FINE = RunStage(25, 16, 8, 5.0, 16, 2.0, 0.6, 0.05)
+ROUGH = RunStage(40, 24, 2, 3.0, 0, 0.0, None, 0.0, 0.0, False)
+FINE = RunStage(25, 16, 8, 5.0, 16, 2.0, 0.6, 0.05, 2.0, True)
 
 
 @dataclass(frozen=True)
@@ -149,7 +154,7 @@ class PopulationSearch(RandomFirst):
         policy = self._policy(problem)
         told, deviation = (part.numpy() for part in policy.begun)
         generator = numpy_generator(seed, Purpose.PLAN, trial)
-        imagined = _Imagined(problem, learned.model, policy, ends, problem.starts(seed), generator)
+        imagined = _Imagined(problem, learned, policy, ends, problem.starts(seed), generator)
         beginnings = [told] * self.restarts
         beginnings += [policy.vector(plan).numpy() for plan in knowledge.plans[:1]]
         rough = [
@@ -215,15 +220,16 @@ class _Imagined:
     def __init__(
         self,
         problem: SearchProblem,
-        model: StrikingModel,
+        learned: LearnedHybrid,
         policy: PhasePolicy,
         ends: RunEnds,
         starts: Tensor,
         generator: np.random.Generator,
     ) -> None:
-        self._model, self._policy, self._ends = model, policy, ends
-        self._dt, self._half = problem.dt, problem.half.numpy()
-        self._starts, self._seed = starts.numpy(), _seed(generator)
+        assert problem.noise is not None
+        self._learned, self._policy, self._ends = learned, policy, ends
+        self._dt, self._half, self._noise = problem.dt, problem.half.numpy(), problem.noise
+        self._starts, self._seed = starts, _seed(generator)
 
     def lengths(self, stage: RunStage) -> np.ndarray:
         """Ticks ``[P]`` of the runs of a stage."""
@@ -233,14 +239,22 @@ class _Imagined:
     def runs(self, vectors: np.ndarray, stage: RunStage) -> PhaseRuns:
         """Of policies ``[C, p]``."""
         generator, length = np.random.default_rng(self._seed), self.lengths(stage)
-        which = generator.permutation(len(self._starts))[: len(length)]
+        futures = futures_of(
+            self._learned.posterior,
+            self._starts,
+            self._noise * stage.reading,
+            int(length.max()),
+            len(length),
+            stage.doubt,
+            generator,
+        )
         push = self._half * stage.push
         push = push * generator.standard_normal((len(length), length.max(), len(self._half)))
         push[np.arange(length.max()) >= length[:, None]] = np.nan
         friction = np.inf if stage.friction is None else stage.friction
         ends = replace(self._ends, friction=friction)
-        start = self._starts[which]
-        return phase_runs(self._model, self._policy.form, vectors, start, push, ends)
+        model = self._learned.model
+        return phase_runs(model, self._policy.form, vectors, futures, push, ends)
 
     def cost_of(self, stage: RunStage) -> Any:
         """A function of vectors ``[C, p]``: minus the score ``[C]``."""

@@ -33,7 +33,7 @@ def _entries() -> dict[str, tuple[object, ...]]:
     counts = np.zeros((1, 1), np.int64)
     return {
         "phase_runs": (
-            *(two, three, two, two, model, strike, (one, one), form, ends, counts, counts),
+            *(two, three, three, two, three, model, strike, (one, one), form, ends, counts, counts),
         ),
         "held_paths": (two, shut, one, two, model, three),
         "striking_rollouts": (three, four, three, model, strike, four),

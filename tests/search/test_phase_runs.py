@@ -10,6 +10,7 @@ from edtorch.policy.phase import PhaseGait, PhasePolicy
 from edtorch.policy.squash import Squash
 from edtorch.rewards.lifted import lifted_row
 from edtorch.search.ground import GroundForce
+from edtorch.search.imagination import Futures
 from edtorch.search.phase_runs import RunEnds, phase_runs
 from edtorch.search.striking import struck_states
 from sims.tasks.walker import START
@@ -52,20 +53,24 @@ def ends(*always: dict[str, float], **more: object) -> RunEnds:
     return RunEnds(np.array(rows).reshape(len(rows), LIFT.size), none, **more)  # pyright: ignore
 
 
-def begun() -> np.ndarray:
-    start = np.zeros((1, 13))
-    start[0, 0:10:2] = START
-    return start
+def begun(count: int = 1) -> Futures:
+    start = np.zeros((count, 13))
+    start[:, 0:10:2] = START
+    weight = np.repeat(MODEL.free.weight[None], count, axis=0)
+    return Futures(weight, start, np.zeros((count, TICKS, 13)))
 
 
 def test_runs_are_ticks_of_the_model_under_the_policy() -> None:
     push = np.zeros((1, TICKS, 4))
     push[:, :, 0] = 0.02
-    runs = phase_runs(MODEL, POLICY.form, VECTORS.numpy(), begun(), push, ends())
+    futures = begun()
+    futures.noise[:] = 1e-3 * np.random.default_rng(2).standard_normal(futures.noise.shape)
+    runs = phase_runs(MODEL, POLICY.form, VECTORS.numpy(), futures, push, ends())
     for c in range(2):
-        state, parameters = begun(), POLICY.of_vector(VECTORS[c : c + 1])
+        state, parameters = futures.start, POLICY.of_vector(VECTORS[c : c + 1])
         for t in range(int(runs.ticks[0 if c == 0 else 1, 0])):
-            action = POLICY.action(parameters, torch.from_numpy(state)).numpy() + push[:, t]
+            seen = torch.from_numpy(state + futures.noise[:, t])
+            action = POLICY.action(parameters, seen).numpy() + push[:, t]
             state = struck_states(MODEL, state, action.clip(-1, 1)[:, None])[:, 1]
         assert np.isfinite(state).all()
         assert runs.strikes[c, 0] == round(float(state[0, 10] * TOLD.unit[10]))
@@ -75,10 +80,9 @@ def test_runs_are_ticks_of_the_model_under_the_policy() -> None:
 def test_a_run_ends_where_a_row_falls_below_zero_or_its_noise_ends() -> None:
     push = np.zeros((2, TICKS, 4))
     push[1, 7:] = np.nan
-    start = begun().repeat(2, 0)
     # The virtual leg leans forward all the time.
     row = {"sin stance_shank": -1.0, "sin stance_thigh": -1.0, "constant": 0.3}
-    runs = phase_runs(MODEL, POLICY.form, VECTORS[:1].numpy(), start, push, ends(row))
+    runs = phase_runs(MODEL, POLICY.form, VECTORS[:1].numpy(), begun(2), push, ends(row))
     assert 7 < runs.ticks[0, 0] < TICKS and runs.ticks[0, 1] == 7
 
 

@@ -46,13 +46,17 @@ def is_held(ground, friction, feature):
 
 
 @outer
-def phase_runs(start, push, theta, weight, model, strike, bounds, form, ends, ticks, strikes):
-    """ticks, strikes [C, P]: made before the end, of policies theta [C, p] from start [P, n] with
-    push [P, H, m] added to their actions; nan in push ends a run there."""
+def phase_runs(
+    start, push, error, theta, weight, model, strike, bounds, form, ends, ticks, strikes
+):
+    """ticks, strikes [C, P]: made before the end, of policies theta [C, p] from start [P, n], each
+    with a weight of its own [P, L, K], push [P, H, m] added to the actions and error [P, H, n] to
+    what is read; nan in push ends a run there."""
     always, landed, ground, hinge, friction = ends
     middle, half = bounds
     n, m = start.shape[1], push.shape[2]
     room, x, raw, after = room_for(n, m, model), np.zeros(n + m), np.zeros(m), np.zeros(n)
+    seen = np.zeros(n)
     entry, feature = np.zeros(len(room[0])), np.zeros(4 * len(hinge) + 1)
     for c in range(len(theta)):
         for p in range(len(start)):
@@ -62,14 +66,16 @@ def phase_runs(start, push, theta, weight, model, strike, bounds, form, ends, ti
             for t in range(push.shape[1]):
                 if math.isnan(push[p, t, 0]):
                     break
-                phase_raw(x[:n], theta[c], form, raw)
+                for i in range(n):
+                    seen[i] = x[i] + error[p, t, i]
+                phase_raw(seen, theta[c], form, raw)
                 for j in range(m):
                     action = middle[j] + half[j] * math.tanh(raw[j]) + push[p, t, j]
                     x[n + j] = min(max(action, middle[j] - half[j]), middle[j] + half[j])
                 lift_into(x, model[0], entry)
                 if not is_above(always, entry):
                     break
-                struck_now = striking_tick(x, weight, model, strike, room, after)
+                struck_now = striking_tick(x, weight[p], model, strike, room, after)
                 # Who strikes again at once has not stepped.
                 if not math.isfinite(after.sum()) or struck_now > 1:
                     break
