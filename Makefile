@@ -19,7 +19,10 @@ TEST_ENV := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEN
     PATH="$$PWD/$(VENV)/bin:$$PATH"
 PYTEST := $(TEST_ENV) $(PY) -m pytest -n $(JOBS) --dist worksteal
 
-.PHONY: help ride test test-long test-browser test-paper test-slurm browser slurm check format bench \
+COMPILE := from edtorch.search import program, striking_program; program.kernels(); \
+    striking_program.striking_kernels()
+
+.PHONY: help ride kernels test test-long test-browser test-paper test-slurm browser slurm check format bench \
     paper tasks env dev clean distclean
 .DEFAULT_GOAL := help
 
@@ -31,6 +34,9 @@ help:  ## this list
 
 ride: $(VENV)/.core  ## learn to ride a bicycle (the main job)
 	$(VENV)/bin/edtorch-train experiment=bicycle $(ARGS)
+
+kernels: $(VENV)/.dev  ## compile the kernels of the searches ahead of the tests
+	EDTORCH_CACHE=.pytest_cache/d/kernels $(PY) -c "$(COMPILE)"
 
 test: $(VENV)/.dev  ## all tests but the long ones
 	$(PYTEST) $(ARGS)

@@ -127,6 +127,7 @@ def _episodes(run: Path, seed: int) -> list[dict[str, str]]:
         return [row for row in csv.DictReader(file) if row["seed"] == str(seed)]
 
 
+@pytest.mark.long
 def test_learning_goes_on_where_a_worker_died(
     run: Path, command: Command, workplace: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,6 +53,14 @@ LEARNING = [
     for name in EXPERIMENTS
     if name not in ("bicycle_random_falls", "bicycle_offline", *RIVALS, *PLANNED)
 ]
+# The bicycle in other worlds: among the long tests.
+VARIANTS = (
+    "bicycle_change",
+    "bicycle_off_balance",
+    "bicycle_spread",
+    "bicycle_wind",
+    "bicycle_noise3",
+)
 # What makes a rival's piece of work a short one.
 SHORT = {
     "bicycle_adaptive_lqr": ("rival.piece=0.2",),
@@ -120,7 +128,10 @@ def _compose(*overrides: str) -> Settings:
 
 
 @pytest.mark.experiment
-@pytest.mark.parametrize("name", LEARNING)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.long) if name in VARIANTS else name for name in LEARNING],
+)
 def test_experiment_runs_three_episodes(name: str) -> None:
     if name.startswith("cardea"):
         pytest.importorskip("pybullet", reason="the extra [cardea] is not installed")

@@ -14,6 +14,7 @@ from tests.app.conftest import Result
 SMALL = ("eval.episodes=20", "search.restarts=4", "search.draws=20", "train.episodes=3")
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 def test_gymnasiums_pendulum_is_held_up_after_seconds(tmp_path: Path) -> None:
     run = edtorch.learn(preset="gym_pendulum", seeds=2, overrides=SMALL, progress=False)

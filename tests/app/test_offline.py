@@ -223,6 +223,7 @@ LINEAR = (
 )
 
 
+@pytest.mark.long
 def test_the_regulator_of_a_linear_system_from_a_file(command: Command, workplace: Path) -> None:
     record = ("noise.exploration=1", "schedule.first=1000000", "train.seconds=40")
     result = command(

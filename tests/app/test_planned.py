@@ -96,6 +96,7 @@ def test_the_folder_is_complete(solved: edtorch.Run) -> None:
     assert json.loads((folder / "summary.json").read_text())["search"] == "PlannedSearch"
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 def test_a_tip_follows_a_wave_after_seconds() -> None:
     small = ("search.starts=4", "search.keep=2", "search.draws=20", "eval.episodes=20")
@@ -145,6 +146,7 @@ def test_a_pole_is_held_by_the_regulator_of_its_model() -> None:
     assert run.summary["told"].endswith("held: angle 0, position 0")
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 def test_the_preset_regulation_takes_a_model_of_a_mechanism() -> None:
     """What the target names is held: there, and not beside it, the action is small."""

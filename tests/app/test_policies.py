@@ -60,6 +60,7 @@ def test_a_policy_rides_as_at_the_end_of_its_run(
             assert ours == (None if theirs is None else pytest.approx(theirs, rel=1e-6))
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 def test_the_policies_of_a_search_have_numbers(quick_command: Command, tmp_path: Path) -> None:
     folder = tmp_path / "search"

@@ -88,6 +88,7 @@ def test_the_summary_agrees_with_the_files(folder: Path) -> None:
     assert summary["command"].startswith("edtorch-train experiment=footnote1")
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 def test_processes_and_lean_acceleration(command: Command, workplace: Path) -> None:
     """With six features; two processes find what one finds."""

@@ -309,6 +309,7 @@ def test_eval_refuses_with_one_line(
     assert sorted(shelf.rglob("*")) == before
 
 
+@pytest.mark.long
 def test_as_processes(
     start: Command, workplace: Path, quick: tuple[str, ...], patience: float
 ) -> None:

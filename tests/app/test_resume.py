@@ -64,6 +64,9 @@ KINDS = {
     ),
 }
 
+OFTEN = ("linear", "compiled", "planned", "rival")
+"""The kinds that every commit is checked with."""
+
 
 def _interrupted(
     command: Command, monkeypatch: pytest.MonkeyPatch, times: int, *arguments: str
@@ -100,7 +103,9 @@ def _arguments(kind: str, command: Command, workplace: Path) -> tuple[str, ...]:
 
 
 @pytest.mark.experiment
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [k if k in OFTEN else pytest.param(k, marks=pytest.mark.long) for k in KINDS]
+)
 def test_a_run_that_was_broken_off_twice_is_the_same_run(
     kind: str,
     command: Command,

@@ -258,6 +258,7 @@ def test_a_machine_without_slurm(
     assert list(workplace.iterdir()) == []
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 def test_a_scheduler_that_refuses(
     sweep_of: Callable[..., tuple[int, str]], workplace: Path, monkeypatch: pytest.MonkeyPatch
@@ -395,6 +396,7 @@ def test_six_of_twenty_four_are_killed(
             assert _results(sweep / job["folder"]) == _results(other / job["folder"])
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 @pytest.mark.parametrize(
     ("launcher", "one_at_a_time"),

@@ -94,6 +94,7 @@ def halved(training: Training, recorder: Recorder | None = None, lanes: int = 1)
     return training
 
 
+@pytest.mark.long
 @pytest.mark.oracle
 def test_learners_in_kernels_are_the_same_in_a_world_that_is_not(tmp_path: Path) -> None:
     seeds = list(range(6))

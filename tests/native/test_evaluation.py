@@ -111,6 +111,7 @@ def test_compiled_episodes_are_the_same_episodes(
     assert ridden("on", count=0) == [[], [], []]
 
 
+@pytest.mark.long
 @pytest.mark.oracle
 def test_compiled_episodes_of_policies_by_a_phase_are_the_same() -> None:
     """With errors of the readings, which are compiled, too."""

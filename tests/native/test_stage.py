@@ -84,11 +84,11 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     ("kind", "seeds", "least"),
     [
         pytest.param("plain", 20, 200, marks=pytest.mark.long),
-        ("affine", 20, 200),
+        pytest.param("affine", 20, 200, marks=pytest.mark.long),
         pytest.param("regulated", 3, 30, marks=pytest.mark.long),
         ("paper", 20, 30),
         pytest.param("safe", 3, 0, marks=pytest.mark.long),
-        ("everything", 3, 3),
+        pytest.param("everything", 3, 3, marks=pytest.mark.long),
     ],
 )
 def test_compiled_ticks_are_the_same_ticks(kind: str, seeds: int, least: int) -> None:
@@ -112,6 +112,7 @@ def states(training: Training) -> list[torch.Tensor]:
     return pytree.tree_leaves(training.stage.population)
 
 
+@pytest.mark.long
 @pytest.mark.oracle
 def test_digits_do_not_depend_on_company_lanes_or_threads() -> None:
     def grown(*how: str, **options: int) -> Training:

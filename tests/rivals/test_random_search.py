@@ -127,6 +127,7 @@ def test_slots_do_not_matter(slots: int, look: int) -> None:
         assert found.measures[name].nan_to_num().equal(values.nan_to_num()), name
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 def test_processes_and_kernels_do_not_matter() -> None:
     world = _short_ride()
@@ -239,6 +240,7 @@ def test_it_goes_on_from_every_round_as_if_nothing_had_been() -> None:
         assert found.cpu_s > states[0]["spent"]["cpu_s"]
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 def test_processes_go_on_too() -> None:
     """One that has ended two rounds, and one that has ended none."""

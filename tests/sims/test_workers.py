@@ -49,6 +49,7 @@ def test_a_deadly_row_is_given_up_and_nothing_else(workers: Workers[int, int]) -
     assert workers.map([1, 2]) == [1, 4]
 
 
+@pytest.mark.long
 def test_cardea_goes_on_after_a_death() -> None:
     pytest.importorskip("pybullet", reason="the extra [cardea] is not installed: no PyBullet")
     from sims.base import Outcome

@@ -61,6 +61,7 @@ def test_refuses_bad_cells(before: str, after: str, why: str) -> None:
         read_plan(LINEAR.replace(before, after), Path("out"))
 
 
+@pytest.mark.long
 @pytest.mark.experiment
 def test_runs_what_is_not_there_and_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

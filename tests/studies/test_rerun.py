@@ -94,6 +94,7 @@ def _composed(plan: Plan) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.oracle
 def test_every_cell_composes_to_a_configuration_of_its_own() -> None:
     full = _composed(read_plan(CELLS.read_text(), OUT))

@@ -148,6 +148,7 @@ def test_published_vectors(case: int) -> None:
     assert error(state, tensor(*given["out"]["100"])) < 1e-9
 
 
+@pytest.mark.long
 def test_closed_loop_to_the_goal_by_names() -> None:
     sim = Bicycle(start_heading_low=0.0, start_heading_high=0.0, time_limit=600.0)
     order = spec_index(sim.spec, HANDLEBAR_FIRST)

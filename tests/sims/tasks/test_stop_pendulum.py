@@ -89,14 +89,15 @@ def test_no_energy_is_gained_and_no_stop_is_passed() -> None:
 
 
 def test_the_stop_beyond_upright_holds_the_rod() -> None:
-    # Its tip is 2 sin(0.25) = 0.495 m from upright: full torque from the upper stop is a solution.
-    sim = StopPendulum(time_limit=3.5)
+    # Its tip is 2 sin(0.25) = 0.495 m from upright, too far by the task's own width.
+    sim = StopPendulum(time_limit=3.5, width=0.5)
     state = sim.initial(torch.full((1, 2), 0.5).double())
     for k in range(70):
         torque = torch.full((1, 1), 3.0 if k < 15 else -3.0).double()
         state = sim.step(state, torque, torch.zeros(1, 0).double())
     assert state[0, :2].tolist() == [LOW, 0.0]
     assert sim.outcome(state).tolist() == [int(Outcome.SUCCEEDED)]
+    assert StopPendulum(time_limit=3.5).outcome(state).tolist() != sim.outcome(state).tolist()
     assert float(sim.distance(state)) == pytest.approx(2 * math.sin(0.25))
 
 
