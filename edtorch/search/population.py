@@ -52,7 +52,7 @@ class RunStage:
 
 
 ROUGH = RunStage(40, 24, 2, 3.0, 0, 0.0, None, 0.0, 0.0, False)
-FINE = RunStage(25, 16, 8, 5.0, 16, 2.0, 0.6, 0.05, 2.0, True)
+FINE = RunStage(25, 16, 8, 5.0, 16, 2.0, 0.6, 0.05, 0.0, False)
 
 
 @dataclass(frozen=True)

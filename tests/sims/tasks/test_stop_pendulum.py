@@ -97,7 +97,6 @@ def test_the_stop_beyond_upright_holds_the_rod() -> None:
         state = sim.step(state, torque, torch.zeros(1, 0).double())
     assert state[0, :2].tolist() == [LOW, 0.0]
     assert sim.outcome(state).tolist() == [int(Outcome.SUCCEEDED)]
-    assert StopPendulum(time_limit=3.5).outcome(state).tolist() != sim.outcome(state).tolist()
     assert float(sim.distance(state)) == pytest.approx(2 * math.sin(0.25))
 
 
