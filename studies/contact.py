@@ -26,6 +26,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -313,25 +314,25 @@ def later_error(walks: Walks, step: Step, strike: Strike | None, struck: Tensor)
     return float(torch.cat(found).median())
 
 
-def table(results: Sequence[Mapping[str, object]]) -> str:
+def table(results: Sequence[Mapping[str, Any]]) -> str:
     """Medians over the seeds, as rows of Markdown."""
     lines = [f"| model | {' | '.join(KINDS)} | .5 s, rad |", "|---" * (len(KINDS) + 2) + "|"]
     for name in _names(results):
         cells = [np.median(_values(results, name, kind)) for kind in KINDS]
-        cells.append(np.median([r["half_second"][name] for r in results]))  # type: ignore[index]
+        cells.append(np.median([r["half_second"][name] for r in results]))
         lines.append(f"| {name} | {' | '.join(f'{cell:.2g}' for cell in cells)} |")
     return "\n".join(lines)
 
 
-def _names(results: Sequence[Mapping[str, object]]) -> list[str]:
-    return list(results[0]["one_tick"])  # type: ignore[call-overload]
+def _names(results: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(results[0]["one_tick"])
 
 
-def _values(results: Sequence[Mapping[str, object]], name: str, kind: str) -> list[float]:
-    return [r["one_tick"][name][kind] for r in results]  # type: ignore[index]
+def _values(results: Sequence[Mapping[str, Any]], name: str, kind: str) -> list[float]:
+    return [r["one_tick"][name][kind] for r in results]
 
 
-def picture(results: Sequence[Mapping[str, object]]) -> Figure:
+def picture(results: Sequence[Mapping[str, Any]]) -> Figure:
     """One-tick errors of the rates by kind of tick; a dot is a seed, none above 1000."""
     with styled(WIDE):
         figure = blank(WIDE, 3.6)

@@ -1,4 +1,4 @@
-"""Strikes: what is told of an event that jumps rates and may exchange the names of components.
+"""Prior knowledge of a strike: an event at which rates jump and components may change names.
 
 A strike happens where height(s) = sum_k height_k A_k(s), linear in entries of the lift, falls to
 zero, such as that of a foot above the ground.  Components and actions that are swapped change

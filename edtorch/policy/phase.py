@@ -114,7 +114,7 @@ class PhasePolicy(BoundedPolicy):
     by which the states are scaled.
 
     names: of the components of the state; rate: index of each one's rate, -1 for none; actions:
-    names.  Raises ValueError for names that are none of these.
+    names.  Raises ValueError for unknown names.
     """
 
     kernel = "phase"
