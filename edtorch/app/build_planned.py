@@ -129,6 +129,7 @@ def build_strike(config: Settings, told: Told) -> Strike | None:
 
 def _hybrid(
     strike: Strike | None,
+    models_strikes: bool,
     stops: Stops | None,
     structures: Mapping[str, Structure],
     told: Told,
@@ -138,6 +139,10 @@ def _hybrid(
     """See ``SearchProblem``.  Raises ConfigError."""
     if strike is None:
         return None
+    if not models_strikes:
+        raise ConfigError(
+            "told.strike: expected null with this search; search=population models it"
+        )
     if len(structures) != 1 or noise is None:
         raise ConfigError(
             f"told.strike: expected one model (model=chain) and observation.noise, found"
@@ -189,7 +194,10 @@ def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchPr
         noise=noise,
         goal=wanted_states(first, rows, world.dt),
         told=told,
-        hybrid=_hybrid(build_strike(config, told), stops, structures, told, world, noise),
+        hybrid=_hybrid(
+            *(build_strike(config, told), search.models_strikes, stops),
+            *(structures, told, world, noise),
+        ),
     )
     return search, problem, told
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -87,6 +87,7 @@ class PopulationSearch(RandomFirst):
     fine: RunStage = FINE
     substeps: int = 1
 
+    models_strikes: ClassVar[bool] = True
     figures = (
         *("transitions", "free", "strikes", "force_error", "policies", "imagined_strikes"),
         *("imagined", "score"),

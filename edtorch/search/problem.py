@@ -135,7 +135,8 @@ class TrialSearch(Protocol):
     trial: seconds of a trial, None: as long as an episode; random: of the first trials, with random
     actions, None: as long as any; random_trials: how many there are; random_size: share of the
     range of the actions that they use; random_hold: seconds for which each of these lasts, None: a
-    tick.  figures: names of those of an ``Improvement``.
+    tick.  figures: names of those of an ``Improvement``; models_strikes: whether it takes a strike
+    that is told.
     """
 
     trial: float | None
@@ -144,6 +145,7 @@ class TrialSearch(Protocol):
     random_size: float
     random_hold: float | None
     figures: tuple[str, ...]
+    models_strikes: bool
 
     @property
     def prior(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from edtorch.search.problem import Explored, SearchProblem
 
@@ -20,6 +21,8 @@ class RandomFirst:
     random_trials: int = 1
     random_size: float = 1.0
     random_hold: float | None = None
+
+    models_strikes: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Reject invalid settings."""

@@ -262,6 +262,12 @@ def test_a_stop_by_an_unknown_action_is_one_line(command: Callable[..., Result])
     assert "told.stops.floor.column=push: expected one of torque" in result.line
 
 
+def test_a_strike_is_refused_by_searches_that_do_not_model_it() -> None:
+    strike = "told.strike={height: {angle: 1.0}, swap: {}, counter: rate}"
+    with pytest.raises(ConfigError, match=r"told\.strike: expected null with this search"):
+        build_planned(compose(["experiment=stop_pendulum", strike]))
+
+
 @pytest.mark.parametrize(
     ("argument", "words"),
     [
