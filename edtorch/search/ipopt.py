@@ -12,7 +12,7 @@ import numpy as np
 
 from edtorch.errors import Unavailable
 from edtorch.search.plan import Plan
-from edtorch.search.tick_model import TickModel
+from edtorch.search.tick_model import TickModel, product_tree
 
 _LEAST = 1e-3
 """Weights smaller than this part of the largest of their row are left out of a path's model."""
@@ -120,18 +120,19 @@ def tick_function(casadi: Any, model: TickModel) -> Any:
 
 def _slope(casadi: Any, model: TickModel, s: Any, action: Any) -> Any:
     """ds/dt: (I - N) f = h for what is learned."""
-    (angle, at, unit, action_at), (parent, factor, node, derivative, _), motion, _ = model.parts
-    learned, source, ratio = motion[:3]
-    entry = [1.0] * (action_at + len(model.half))
-    for i, first in enumerate(at):
-        entry[first] = casadi.sin(s[i] * unit[i]) if angle[i] else s[i]
-        if angle[i]:
-            entry[first + 1] = casadi.cos(s[i] * unit[i])
+    structure, lift = model.structure, model.structure.lift
+    learned, source, derivative = structure.learned, structure.source, structure.terms.derivative
+    entry = [1.0] * lift.size
+    for i, first in enumerate(lift.at):
+        entry[first] = casadi.sin(s[i] * lift.unit[i]) if lift.angle[i] else s[i]
+        if lift.angle[i]:
+            entry[first + 1] = casadi.cos(s[i] * lift.unit[i])
     for j in range(len(model.half)):
-        entry[action_at + j] = action[j]
+        entry[lift.action_at + j] = action[j]
+    tree, node = product_tree(structure.terms.factors)
     product = [casadi.SX(1.0)]
-    for p in range(1, len(parent)):
-        product.append(product[parent[p]] * entry[factor[p]])
+    for parent, factor in tree[1:]:
+        product.append(product[parent] * entry[factor])
     h, matrix = casadi.SX.zeros(len(learned)), casadi.SX.eye(len(learned))
     for l_, k in np.argwhere(model.weight):
         value, j = model.weight[l_, k] * product[node[k]], derivative[k]
@@ -142,7 +143,7 @@ def _slope(casadi: Any, model: TickModel, s: Any, action: Any) -> Any:
     f = casadi.solve(matrix, h)
     slope = casadi.SX.zeros(len(source))
     for i in np.flatnonzero(source >= 0):
-        slope[i] = ratio[i] * s[source[i]]
+        slope[i] = structure.ratio[i] * s[source[i]]
     for l_, i in enumerate(learned):
         slope[i] = f[l_]
     return slope

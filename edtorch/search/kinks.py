@@ -7,6 +7,7 @@ strike is that at which the two paths are nearest to each other.
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -46,7 +47,8 @@ def kinks_of(free: TickModel, strike: Strike, transition: Transition, noise: Ten
 def _paths(free: TickModel, state: Tensor, action: Tensor, shut: Tensor, seconds: float) -> Tensor:
     """``[N, NODES, n]``."""
     path = state.new_zeros(len(state), NODES, state.shape[-1]).numpy()
-    given = real(torch.cat([state, action], -1).numpy()), whole(shut.numpy(), bool)
+    bits = shut.numpy() @ (1 << np.arange(shut.shape[1]))
+    given = real(torch.cat([state, action], -1).numpy()), whole(bits, np.int64)
     duration = real(state.new_full((len(state),), seconds).numpy())
     striking_kernels()["held_paths"](*given, duration, real(free.weight), free.parts, path)
     return torch.from_numpy(path)

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from edtorch.compiled import ModuleSource, load_kernel
+from edtorch.search.tick_model import MODEL_KIND
 
 _FOLDER = Path(__file__).parent / "kernels"
 _TEXTS = (
-    *("mechanism.py", "stops.py", "tick.py", "cost.py", "shooting.py"),
+    *("names.py", "mechanism.py", "stops.py", "tick.py", "cost.py", "shooting.py"),
     *("noise_aware.py", "imagined.py", "lifted_policy.py"),
 )
 
@@ -29,21 +30,16 @@ def _entries() -> dict[str, tuple[object, ...]]:
     """Arguments of the kinds that the kernels are given."""
     one, two, three = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))
     index, pair = np.zeros(1, np.int64), np.zeros((1, 1), np.int64)
-    lift = (np.zeros(1, np.bool_), index, one, 1)
-    stops = (two, one, one, index, two, 1, 1.0)
-    model = (lift, (index, index, index, index, pair), (index, index, one, 0.1, 1), stops)
+    model, room = MODEL_KIND, (two, three, three, pair)
     cost, bounds = (three, one, one, 0.1), (one, one)
     problem = (model, two, cost, bounds)
     settings = (0.1, 0.1, 0.1, 0.1, 0.1, 1, 0.1, 1, 0.1)
     expansion, plan = (three, three, two, three, two, two), (two, two, three)
     knots = (two, two, three, one, one, 0.1)
-    products = (index, index, index)
-    shut, pieces = np.zeros(1, np.bool_), np.zeros((1, 1), np.int64)
-    held = (shut, two, two, two, two, index, two, two, two, three, one, pieces)
-    room = (one, one, two, two, two, index, one, two, one, two, three, held)
+    products = (pair, index)
     return {
         "room_for": (1, 1, model),
-        "slope_jacobian": (one, two, model, room, one),
+        "slope_jacobian": (one, two, model, room, one, two),
         "tick_jacobian": (one, two, model, room, one, two),
         "expand": (*problem, two, two, expansion, two),
         "backward": (expansion, two, 0.1, two, three),

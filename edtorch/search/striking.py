@@ -34,13 +34,11 @@ class StrikingModel:
     @property
     def parts(self) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         """model and strike, as kernels take them."""
-        strike, tree = self.strike, product_tree(self.impact.terms.factors)
-        given = (
-            *(real(strike.height), whole(strike.order, np.int64)),
-            *(whole(strike.action_order, np.int64), real(strike.jump)),
-            tuple(whole(part, np.int64) for part in tree),
-            real(self.impact.weight.numpy()),
-        )
+        strike, n = self.strike, len(self.strike.order)
+        order = np.concatenate((strike.order, n + strike.action_order))
+        tree = (whole(part, np.int64) for part in product_tree(self.impact.terms.factors))
+        jump, weight = real(strike.jump), real(self.impact.weight.numpy())
+        given = (real(strike.height), whole(order, np.int64), jump, *tree, weight)
         return self.free.parts, given
 
 

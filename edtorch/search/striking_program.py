@@ -14,28 +14,32 @@ from typing import Any
 import numpy as np
 
 from edtorch.compiled import ModuleSource, load_kernel
+from edtorch.search.tick_model import MODEL_KIND
 
 _FOLDER = Path(__file__).parent / "kernels"
-_TEXTS = ("mechanism.py", "stops.py", "tick.py", "strikes.py", "phase.py", "phase_runs.py")
+_TEXTS = (
+    "names.py",
+    "mechanism.py",
+    "stops.py",
+    "tick.py",
+    "strikes.py",
+    "phase.py",
+    "phase_runs.py",
+)
 
 
 def _entries() -> dict[str, tuple[object, ...]]:
     """Arguments of the kinds that the kernels are given."""
     one, two, three = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))
     four = np.zeros((1, 1, 1, 1))
-    index, shut = np.zeros(1, np.int64), np.zeros((1, 1), np.bool_)
-    stops = (two, one, one, index, two, 1, 1.0)
-    terms = (index, index, index, index, np.zeros((1, 1), np.int64))
-    lift, motion = (np.zeros(1, np.bool_), index, one, 1), (index, index, one, 0.1, 1)
-    model = (lift, terms, motion, stops)
-    strike = (one, index, index, one, (index, index, index), two)
+    index, pair, model = np.zeros(1, np.int64), np.zeros((1, 1), np.int64), MODEL_KIND
+    strike = (one, index, one, pair, index, two)
     form, ends = (two, two, two, two, two, two, two), (two, two, two, index, 0.1)
-    counts = np.zeros((1, 1), np.int64)
     return {
         "phase_runs": (
-            *(two, three, three, two, three, model, strike, (one, one), form, ends, counts, counts),
+            *(two, three, three, two, three, model, strike, (one, one), form, ends, pair, pair),
         ),
-        "held_paths": (two, shut, one, two, model, three),
+        "held_paths": (two, index, one, two, model, three),
         "striking_rollouts": (three, four, three, model, strike, four),
     }
 

@@ -35,36 +35,24 @@ class TickModel:
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        """Tuples of arrays: of the lift, of the terms, of the motion, of the stops."""
-        lift, terms = self.structure.lift, self.structure.terms
+        """The argument ``model`` of the kernels (``kernels/names.py``)."""
+        structure, lift = self.structure, self.structure.lift
+        stops = self.stops or Stops.none(len(structure.source))
+        tree, node = product_tree(structure.terms.factors)
+        term, output = np.argwhere(structure.allowed.numpy().T).T
+        pair = (term, output, node[term], structure.terms.derivative[term])
+        stop = (stops.level, stops.turn, stops.column)
         return (
-            (whole(lift.angle, bool), whole(lift.at, np.int64), real(lift.unit), lift.action_at),
-            (
-                *product_tree(terms.factors),
-                whole(terms.derivative, np.int64),
-                whole(np.argwhere(self.structure.allowed.numpy().T), np.int64),
-            ),
-            (
-                whole(self.structure.learned, np.int64),
-                whole(self.structure.source, np.int64),
-                real(self.structure.ratio),
-                float(self.dt),
-                self.substeps,
-            ),
-            self._stops,
-        )
-
-    @property
-    def _stops(self) -> tuple[Any, ...]:
-        stops, n = self.stops, len(self.structure.source)
-        if stops is None:
-            stops = Stops.none(n)
-        return (
-            real(stops.normal),
-            real(stops.level),
-            real(stops.turn),
-            whole(stops.column, np.int64),
-            real(stops.by_learned(self.structure)),
+            whole(np.stack((lift.angle, lift.at, structure.source), -1), np.int64),
+            real(np.stack((lift.unit, structure.ratio), -1)),
+            whole(structure.learned, np.int64),
+            whole(tree, np.int64),
+            whole(np.stack(pair, -1), np.int64),
+            real(np.concatenate((np.stack(stop, -1), stops.normal), -1)),
+            lift.action_at,
+            lift.actions,
+            float(self.dt),
+            self.substeps,
             MOST_HITS,
             float(self.saltation),
         )
@@ -85,20 +73,27 @@ def real(values: Any) -> np.ndarray:
     return whole(values, np.float64)
 
 
-def product_tree(factors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def product_tree(factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Products of entries of the lift as a tree, parents first.
 
-    factors ``[K, D]``: of each term, padded by 0.  Returns parent and factor ``[P]`` (product p is
-    product parent[p] times entry factor[p], product 0 is 1), and node ``[K]``: of each term.
+    factors ``[K, D]``: of each term, padded by 0.  Returns parent and factor ``[P, 2]`` (product p
+    is its parent times entry factor, product 0 is 1), and the product ``[K]`` of each term.
     """
     place: dict[tuple[int, ...], int] = {(): 0}
-    parent, factor, node = [0], [0], []
+    tree, node = [(0, 0)], []
     for row in factors:
         entries = tuple(sorted(int(entry) for entry in row if entry))
         for size in range(1, len(entries) + 1):
             if entries[:size] not in place:
-                place[entries[:size]] = len(parent)
-                parent.append(place[entries[: size - 1]])
-                factor.append(entries[size - 1])
+                place[entries[:size]] = len(tree)
+                tree.append((place[entries[: size - 1]], entries[size - 1]))
         node.append(place[entries])
-    return np.array(parent), np.array(factor), np.array(node, np.int64)
+    return np.array(tree), np.array(node, np.int64)
+
+
+MODEL_KIND = (
+    *(np.zeros((1, 1), np.int64), np.zeros((1, 1)), np.zeros(1, np.int64)),
+    *(np.zeros((1, 1), np.int64), np.zeros((1, 1), np.int64), np.zeros((1, 1))),
+    *(1, 1, 0.1, 1, 1, 0.1),
+)
+"""What has the types of ``TickModel.parts``."""

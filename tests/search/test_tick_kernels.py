@@ -32,8 +32,9 @@ def slope_once(model: TickModel, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """The compiled ds/dt ``[n]``, and the derivative of what is learned of it ``[L, n + m]``."""
     n = len(model.structure.source)
     room, slope = kernels()["room_for"](n, len(x) - n, model.parts), np.zeros(n)
-    kernels()["slope_jacobian"](x, model.weight, model.parts, room, slope)
-    return slope, room[7]
+    by = np.zeros((len(model.structure.learned), len(x)))
+    kernels()["slope_jacobian"](x, model.weight, model.parts, room, slope, by)
+    return slope, by
 
 
 @pytest.mark.parametrize("model", _models(), ids=["true", "implicit", "products", "monomials"])
@@ -64,14 +65,14 @@ def test_products_of_the_tree_are_the_terms() -> None:
     given = cart_poles.told()
     lift, entry = Lift.of(given), np.random.default_rng(3).standard_normal(7)
     terms = Terms.monomials(given, lift, 4)
-    parent, factor, node = product_tree(terms.factors)
-    product = np.ones(len(parent))
-    for p in range(1, len(parent)):
-        assert parent[p] < p
-        product[p] = product[parent[p]] * entry[factor[p]]
+    tree, node = product_tree(terms.factors)
+    product = np.ones(len(tree))
+    for p, (parent, factor) in list(enumerate(tree))[1:]:
+        assert parent < p
+        product[p] = product[parent] * entry[factor]
     entry[0] = 1.0
     np.testing.assert_allclose(product[node], entry[terms.factors].prod(axis=1), rtol=1e-13)
-    assert len(parent) <= terms.count + 1
+    assert len(tree) <= terms.count + 1
 
 
 def test_coupled_accelerations_of_six_joints_are_solved() -> None:

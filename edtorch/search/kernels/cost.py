@@ -2,24 +2,16 @@
 
 
 @outer
-def place(x, state):
-    """x = (state, 0)."""
-    x[:] = 0.0
-    for i in range(len(state)):
-        x[i] = state[i]
-
-
-@outer
 def state_cost(x, t, model, cost, room):
     """weight[t] |rows[t] A(s_t)|^2."""
-    rows, weight, entry = cost[0], cost[1], room[0]
+    rows, weight, entry = cost[0], cost[1], room[VECTOR][ENTRY]
     if weight[t] == 0.0:
         return 0.0
-    lift_into(x, model[0], entry)
+    lift_into(x, model, entry)
     total = 0.0
     for r in range(rows.shape[1]):
         distance = 0.0
-        for e in range(len(entry)):
+        for e in range(rows.shape[2]):
             distance += rows[t, r, e] * entry[e]
         total += distance * distance
     return weight[t] * total
@@ -39,23 +31,19 @@ def action_cost(raw, shift, cost):
 @outer
 def expand_state(x, t, model, cost, room, gradient, hessian):
     """First derivative of ``state_cost``, and the second without that of the distances."""
-    rows, weight, entry, row = cost[0], cost[1], room[0], room[9][0]
-    angle, at, unit, action_at = model[0]
-    n = len(angle)
+    rows, weight, n = cost[0], cost[1], len(model[COMPONENT])
+    entry, row = room[VECTOR][ENTRY], room[VECTOR][DS]
     gradient[:] = 0.0
     hessian[:] = 0.0
     if weight[t] == 0.0:
         return
-    lift_into(x, model[0], entry)
+    lift_into(x, model, entry)
     for r in range(rows.shape[1]):
         distance = 0.0
-        for e in range(len(entry)):
+        for e in range(rows.shape[2]):
             distance += rows[t, r, e] * entry[e]
         for i in range(n):
-            e = at[i]
-            row[i] = rows[t, r, e]
-            if angle[i]:
-                row[i] = unit[i] * (row[i] * entry[e + 1] - rows[t, r, e + 1] * entry[e])
+            row[i] = by_component(rows[t, r], entry, i, model)
         for i in range(n):
             gradient[i] += 2 * weight[t] * distance * row[i]
             for j in range(n):

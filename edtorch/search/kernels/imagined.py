@@ -35,7 +35,7 @@ def imagine(model, weight, cost, bounds, plan, start, noise, state, value):
                 shift[j] = 0.0
                 for i in range(n):
                     seen = state[p, t, i] + noise[p, t, i] - reference[t, i]
-                    shift[j] += gain[t, j, i] * wrapped(seen, i, model[0])
+                    shift[j] += gain[t, j, i] * wrapped(seen, i, model)
             value[p] += imagined_tick(
                 t, raw[t], shift, x, weight[p], model, cost, bounds, room, state[p]
             )
@@ -65,7 +65,7 @@ def imagine_knots(model, weight, cost, bounds, knots, start, noise, state, value
                 square[k] = 0.0
                 for i in range(n):
                     seen = state[p, t, i] + noise[p, t, i] - reference[k, i]
-                    away[k, i] = wrapped(seen, i, model[0])
+                    away[k, i] = wrapped(seen, i, model)
                     part = away[k, i] / metric[i] * factor[k]
                     square[k] += part * part
                 if square[k] < square[nearest]:

@@ -1,18 +1,16 @@
 """A stationary policy z = theta phi(A(s)): what its roll-outs cost, and how that depends on theta.
 
-policy: tuple (parent, factor, node) of the tree of products that phi [F] are, as the terms of a
-model; theta [m, F].  Weight p = j F + k is theta[j, k]; P = m F.
+policy: tuple of a tree of products [P, 2], as the terms of a model have it, and the places [F] of
+phi in it; theta [m, F].  Weight p = j F + k is theta[j, k]; P = m F.
 """
 
 
 @outer
 def policy_raw(x, model, policy, theta, entry, product, raw):
     """raw = theta phi(A(s)), with x = (s, anything); product: of the tree."""
-    parent, factor, node = policy
-    lift_into(x, model[0], entry)
-    product[0] = 1.0
-    for p in range(1, len(parent)):
-        product[p] = product[parent[p]] * entry[factor[p]]
+    tree, node = policy
+    lift_into(x, model, entry)
+    products_into(tree, entry, product)
     for j in range(len(raw)):
         raw[j] = 0.0
         for k in range(len(node)):
@@ -22,21 +20,18 @@ def policy_raw(x, model, policy, theta, entry, product, raw):
 @outer
 def policy_slope(model, policy, theta, entry, product, adjoint, by_entry, by):
     """by [m, n] = dz/ds, after ``policy_raw``, by one sweep backwards for each action."""
-    parent, factor, node = policy
-    angle, at, unit, action_at = model[0]
+    tree, node = policy
     for j in range(len(by)):
         adjoint[:] = 0.0
         by_entry[:] = 0.0
         for k in range(len(node)):
             adjoint[node[k]] += theta[j, k]
-        for p in range(len(parent) - 1, 0, -1):
-            by_entry[factor[p]] += adjoint[p] * product[parent[p]]
-            adjoint[parent[p]] += adjoint[p] * entry[factor[p]]
-        for i in range(len(angle)):
-            e = at[i]
-            by[j, i] = by_entry[e]
-            if angle[i]:
-                by[j, i] = unit[i] * (by_entry[e] * entry[e + 1] - by_entry[e + 1] * entry[e])
+        for p in range(len(tree) - 1, 0, -1):
+            parent, factor = tree[p, PARENT], tree[p, FACTOR]
+            by_entry[factor] += adjoint[p] * product[parent]
+            adjoint[parent] += adjoint[p] * entry[factor]
+        for i in range(by.shape[1]):
+            by[j, i] = by_component(by_entry, entry, i, model)
 
 
 @outer
@@ -45,7 +40,7 @@ def policy_cost(model, weight, cost, bounds, policy, theta, start):
     middle, half = bounds
     m, n = len(middle), start.shape[1]
     room, x, none = room_for(n, m, model), np.zeros(n + m), np.zeros(m)
-    entry, product, raw = np.zeros(len(room[0])), np.zeros(len(policy[0])), np.zeros(m)
+    entry, product, raw = np.zeros(model[ACTION_AT] + m), np.zeros(len(policy[0])), np.zeros(m)
     after, total = np.zeros(n), 0.0
     for p in range(len(start)):
         place(x, start[p])
@@ -82,8 +77,8 @@ def policy_expansion(model, weight, cost, bounds, policy, theta, start, gradient
     m, n, size = len(middle), start.shape[1], len(gradient)
     features = size // m
     room, x, none = room_for(n, m, model), np.zeros(n + m), np.zeros(m)
-    entry, product, raw = np.zeros(len(room[0])), np.zeros(len(policy[0])), np.zeros(m)
-    adjoint, by_entry = np.zeros(len(policy[0])), np.zeros(len(room[0]))
+    entry, product, raw = np.zeros(model[ACTION_AT] + m), np.zeros(len(policy[0])), np.zeros(m)
+    adjoint, by_entry = np.zeros(len(policy[0])), np.zeros(model[ACTION_AT] + m)
     by_state, by = np.zeros((m, n)), np.zeros((n, n + m))
     sensitivity, next_one, moved = np.zeros((n, size)), np.zeros((n, size)), np.zeros((n, size))
     by_theta, state_gradient, state_hessian = np.zeros((m, size)), np.zeros(n), np.zeros((n, n))
@@ -106,7 +101,7 @@ def policy_expansion(model, weight, cost, bounds, policy, theta, start, gradient
                         value += by_state[j, i] * sensitivity[i, p]
                     by_theta[j, p] = value
                 for k in range(features):
-                    by_theta[j, j * features + k] += product[policy[2][k]]
+                    by_theta[j, j * features + k] += product[policy[1][k]]
                 add_square(
                     2 * cost[2][j] * steep * steep + 2 * cost[3],
                     by_theta[j],

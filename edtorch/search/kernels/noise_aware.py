@@ -55,17 +55,17 @@ def noise_aware(expansion, settings, gain, covariance, noise, process):
             ahead[:] = 0.0
             quadratic(t, expansion, ahead, ahead_hessian, q)
             damp(q[4], damping, factors)
-            factorise(factors, pivot)
+            factorise(factors, pivot, m)
             for i in range(n):
                 for j in range(n):
                     seen[i, j] = covariance[t, i, j] + noise[i, j]
                 # Where nothing is uncertain or misread, the gains are those without noise.
                 seen[i, i] += floor
-            factorise(seen, order)
+            factorise(seen, order, n)
             for i in range(n):
                 for j in range(m):
                     column[j] = q[3][j, i]
-                solve(factors, pivot, column)
+                solve(factors, pivot, m, column)
                 for j in range(m):
                     unaware[j, i] = -column[j]
             for j in range(m):
@@ -73,7 +73,7 @@ def noise_aware(expansion, settings, gain, covariance, noise, process):
                     row[i] = floor * unaware[j, i]
                     for k in range(n):
                         row[i] += covariance[t, i, k] * unaware[j, k]
-                solve(seen, order, row)
+                solve(seen, order, n, row)
                 for i in range(n):
                     gain[t, j, i] = row[i]
             valued(q, none, gain[t], ahead, ahead_hessian)

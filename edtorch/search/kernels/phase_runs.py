@@ -11,11 +11,11 @@ greatest ratio of the two.
 def ground_features(entry, x, after, hinge, model, feature):
     """sin a, cos a, sin v^2 and cos v^2 of each angle, v its rate at x and a the mean of its
     acceleration over a tick; and 1."""
-    at, source, seconds = model[0][1], model[2][1], model[2][3]
+    component = model[COMPONENT]
     for j in range(len(hinge)):
-        i = source[hinge[j]]
-        s, c = entry[at[hinge[j]]], entry[at[hinge[j]] + 1]
-        a, square = (after[i] - x[i]) / seconds, x[i] * x[i]
+        i, at = component[hinge[j], SOURCE], component[hinge[j], AT]
+        s, c = entry[at], entry[at + 1]
+        a, square = (after[i] - x[i]) / model[SECONDS], x[i] * x[i]
         feature[4 * j], feature[4 * j + 1] = s * a, c * a
         feature[4 * j + 2], feature[4 * j + 3] = s * square, c * square
     feature[4 * len(hinge)] = 1.0
@@ -57,7 +57,7 @@ def phase_runs(
     n, m = start.shape[1], push.shape[2]
     room, x, raw, after = room_for(n, m, model), np.zeros(n + m), np.zeros(m), np.zeros(n)
     seen = np.zeros(n)
-    entry, feature = np.zeros(len(room[0])), np.zeros(4 * len(hinge) + 1)
+    entry, feature = np.zeros(model[ACTION_AT] + m), np.zeros(4 * len(hinge) + 1)
     for c in range(len(theta)):
         for p in range(len(start)):
             ticks[c, p], strikes[c, p] = 0, 0
@@ -72,7 +72,7 @@ def phase_runs(
                 for j in range(m):
                     action = middle[j] + half[j] * math.tanh(raw[j]) + push[p, t, j]
                     x[n + j] = min(max(action, middle[j] - half[j]), middle[j] + half[j])
-                lift_into(x, model[0], entry)
+                lift_into(x, model, entry)
                 if not is_above(always, entry):
                     break
                 struck_now = striking_tick(x, weight[p], model, strike, room, after)
@@ -86,7 +86,7 @@ def phase_runs(
                 for i in range(n):
                     x[i] = after[i]
                 if struck_now > 0:
-                    lift_into(x, model[0], entry)
+                    lift_into(x, model, entry)
                     if not is_above(landed, entry):
                         break
                 ticks[c, p] += 1

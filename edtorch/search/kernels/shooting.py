@@ -6,20 +6,11 @@ no gap it is single shooting (iLQR, Li & Todorov 2004).
 
 
 @outer
-def copy_table(to, table):
-    """to = table, entry by entry: an assignment of whole arrays takes seconds to compile."""
-    for i in range(table.shape[0]):
-        for j in range(table.shape[1]):
-            to[i, j] = table[i, j]
-
-
-@outer
-def wrapped(difference, i, lift):
+def wrapped(difference, i, model):
     """A difference of component i; of an angle, the short way round."""
-    angle, unit = lift[0], lift[2]
-    if not angle[i]:
+    if not model[COMPONENT][i, ANGLE]:
         return difference
-    turn = 2 * math.pi / unit[i]
+    turn = 2 * math.pi / model[SCALE][i, UNIT]
     return difference - turn * np.rint(difference / turn)
 
 
@@ -41,7 +32,7 @@ def follow(model, weight, cost, bounds, largest, plan, feed, gap, step, new):
         for j in range(m):
             z = raw[t, j] + step * feed[t, j]
             for i in range(n):
-                z += gain[t, j, i] * wrapped(new_state[t, i] - state[t, i], i, model[0])
+                z += gain[t, j, i] * wrapped(new_state[t, i] - state[t, i], i, model)
             z = min(max(z, -largest), largest)
             new_raw[t, j] = z
             x[n + j] = middle[j] + half[j] * math.tanh(z)
@@ -183,10 +174,10 @@ def backward(expansion, gap, damping, feed, gain):
                 moved[i] += ahead_hessian[i, j] * gap[t, j]
         quadratic(t, expansion, moved, ahead_hessian, q)
         damp(q[4], damping, factors)
-        factorise(factors, pivot)
+        factorise(factors, pivot, m)
         for j in range(m):
             column[j] = q[1][j]
-        solve(factors, pivot, column)
+        solve(factors, pivot, m, column)
         for j in range(m):
             feed[t, j] = -column[j]
             if not math.isfinite(feed[t, j]):
@@ -194,7 +185,7 @@ def backward(expansion, gap, damping, feed, gain):
         for i in range(n):
             for j in range(m):
                 column[j] = q[3][j, i]
-            solve(factors, pivot, column)
+            solve(factors, pivot, m, column)
             for j in range(m):
                 gain[t, j, i] = -column[j]
         valued(q, feed[t], gain[t], ahead, ahead_hessian)

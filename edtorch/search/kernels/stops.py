@@ -6,60 +6,60 @@ where force_k >= 0 is zero unless the stop is shut and its gap would close, a li
 complementarity problem (Brogliato, "Nonsmooth mechanics", 2016).  A stop that is hit shuts without
 rebound: rates change by A_k impulse_k, by the same problem for the rates of the gaps.
 
-stops: tuple (normal [K, n], level [K], turn [K], column [K], ahead [K, L], most, share).  turn: of
-a gap that is an angle, else 0; ahead: of the gaps' rates by what is learned; most: hits in a tick;
-share: of the saltation in Jacobians, 1.
+Stops that are shut are bits of an integer.
 """
 
 
 @outer
-def gap_of(s, k, stops):
+def gap_of(s, k, model):
     """g_k; of an angle, from an eighth of a turn behind the stop on."""
-    normal, level, turn = stops[0], stops[1], stops[2]
-    gap = -level[k]
-    for i in range(normal.shape[1]):
-        gap += normal[k, i] * s[i]
-    if turn[k] > 0.0:
-        gap -= turn[k] * math.floor(gap / turn[k] + 0.125)
+    stop = model[STOP]
+    gap, turn = -stop[k, LEVEL], stop[k, TURN]
+    for i in range(len(model[COMPONENT])):
+        gap += stop[k, NORMAL + i] * s[i]
+    if turn > 0.0:
+        gap -= turn * math.floor(gap / turn + 0.125)
     return gap
 
 
 @outer
 def gap_rate(s, k, model):
-    """dg_k/dt."""
-    learned, ahead, total = model[2][0], model[3][4], 0.0
-    for l in range(len(learned)):
-        total += ahead[k, l] * s[learned[l]]
+    """dg_k/dt of a state; its rate, of a derivative of the state."""
+    component, total = model[COMPONENT], 0.0
+    for i in range(len(component)):
+        source = component[i, SOURCE]
+        if source >= 0:
+            total += model[STOP][k, NORMAL + i] * model[SCALE][i, RATIO] * s[source]
     return total
 
 
 @outer
-def complementary(shut, held, room):
-    """Writes force >= 0 with w + table force >= 0 and one of them 0 for every shut stop, nan where
-    there is no solution; held: w + table force = 0 whatever the sign of the forces."""
-    table, w, force, factors, pivot = room[2], room[3][0], room[3][1], room[4], room[5]
-    count = len(shut)
+def complementary(bits, held, count, room):
+    """Writes force >= 0 with w + table force >= 0 and one of them 0 for every stop in ``bits``, nan
+    where there is no solution; held: w + table force = 0 whatever the sign of the forces."""
+    table, factors, pivot = room[TABLE][BY_FORCE], room[TABLE][FACTORS], room[INDEX][STOP_PIVOT]
+    w, force = room[VECTOR][CLOSING], room[VECTOR][FORCE]
     for chosen in range(1 << count):
-        fits = True
+        if chosen & ~bits or (held and chosen != bits):
+            continue
         for k in range(count):
             inside = (chosen >> k) & 1 == 1
-            fits = fits and (shut[k] or not inside) and (inside or not (held and shut[k]))
             force[k] = -w[k] if inside else 0.0
             for j in range(count):
                 both = inside and (chosen >> j) & 1 == 1
                 factors[k, j] = table[k, j] if both else (1.0 if k == j else 0.0)
-        if not fits:
-            continue
-        factorise(factors, pivot)
-        solve(factors, pivot, force)
+        factorise(factors, pivot, count)
+        solve(factors, pivot, count, force)
+        fits = True
         for k in range(count):
             left = w[k]
             for j in range(count):
-                left += table[k, j] * force[j]
+                if (chosen >> j) & 1 == 1:
+                    left += table[k, j] * force[j]
             inside = (chosen >> k) & 1 == 1
             if not math.isfinite(force[k]):
                 fits = False
-            elif shut[k] and not held:
+            elif (bits >> k) & 1 == 1 and not held:
                 fits = fits and (force[k] >= 0.0 if inside else left >= 0.0)
         if fits:
             return
@@ -68,141 +68,113 @@ def complementary(shut, held, room):
 
 
 @outer
-def columns_of(model, n, room):
-    """A_k from the Jacobian in room[7], each with the sign that opens its stop, and the table of
-    gap k's change by A_j."""
-    jacobian, own, table = room[7], room[11][1], room[11][2]
-    column, ahead = model[3][3], model[3][4]
-    for k in range(len(column)):
-        opening = 0.0
-        for l in range(own.shape[1]):
-            own[k, l] = jacobian[l, n + column[k]]
-            opening += ahead[k, l] * own[k, l]
-        if opening < 0.0:
-            for l in range(own.shape[1]):
-                own[k, l] = -own[k, l]
-    for k in range(len(column)):
-        for j in range(len(column)):
-            table[k, j] = 0.0
-            for l in range(own.shape[1]):
-                table[k, j] += ahead[k, l] * own[j, l]
+def press(rates, bits, held, weight, model, room):
+    """Add to ``rates`` [n], after ``slope``, what the stops ``bits`` do: their forces to a
+    derivative of the state, their impulses to a state.  Each A_k has the sign that opens its
+    stop."""
+    stop, learned = model[STOP], model[LEARNED]
+    own, table = room[TABLE][COLUMNS], room[TABLE][BY_FORCE]
+    w, force = room[VECTOR][CLOSING], room[VECTOR][FORCE]
+    n, count = len(model[COMPONENT]), len(stop)
+    for k in range(count):
+        w[k] = 0.0
+        if (bits >> k) & 1 == 1:
+            w[k] = gap_rate(rates, k, model)
+            by_action(int(stop[k, COLUMN]), weight, model, room, own[k])
+            if gap_rate(own[k], k, model) < 0.0:
+                for i in range(n):
+                    own[k, i] = -own[k, i]
+    for k in range(count):
+        for j in range(count):
+            if (bits >> k) & (bits >> j) & 1 == 1:
+                table[k, j] = gap_rate(own[j], k, model)
+    complementary(bits, held, count, room)
+    for k in range(count):
+        if (bits >> k) & 1 == 1:
+            for l in range(len(learned)):
+                rates[learned[l]] += own[k, learned[l]] * force[k]
 
 
 @outer
-def any_shut(shut):
-    """Whether one is."""
-    for k in range(len(shut)):
-        if shut[k]:
-            return True
-    return False
-
-
-@outer
-def stopped_slope(x, weight, model, room, ds):
+def stopped_slope(x, bits, weight, model, room, ds):
     """``slope`` with the forces of the stops that are shut."""
-    shut, own, w, force = room[11][0], room[11][1], room[11][3][0], room[11][3][1]
-    if not any_shut(shut):
-        slope(x, weight, model, room, ds)
-        return
-    learned = model[2][0]
-    slope_jacobian(x, weight, model, room, ds)
-    columns_of(model, len(ds), room)
-    for k in range(len(shut)):
-        w[k] = gap_rate(ds, k, model)
-    complementary(shut, False, room[11])
-    for k in range(len(shut)):
-        for l in range(len(learned)):
-            ds[learned[l]] += own[k, l] * force[k]
+    slope(x, weight, model, room, ds)
+    if bits:
+        press(ds, bits, False, weight, model, room)
 
 
 @outer
-def stopped_jacobian(x, weight, model, room, ds):
+def stopped_jacobian(x, bits, weight, model, room, ds, jacobian):
     """``slope_jacobian``; by central differences where a stop is shut."""
-    shut, point, ends, table = room[11][0], room[11][6][0], room[11][7], room[11][8]
-    if not any_shut(shut):
-        slope_jacobian(x, weight, model, room, ds)
+    if bits == 0:
+        slope_jacobian(x, weight, model, room, ds, jacobian)
         return
-    learned, step = model[2][0], 1e-6
-    for q in range(len(x)):
+    learned, width, step = model[LEARNED], len(model[COMPONENT]) + model[ACTIONS], 1e-6
+    point, ahead, behind = room[VECTOR][NEAR], room[VECTOR][AHEAD], room[VECTOR][BEHIND]
+    for q in range(width):
         point[q] = x[q]
     # Both sides of every component, then the middle.
-    for c in range(2 * len(x) + 1):
-        q, side = c // 2, c % 2
-        end = ds
-        if q < len(x):
-            point[q] = x[q] + (step if side == 0 else -step)
-            end = ends[side]
-        stopped_slope(point, weight, model, room, end)
-        if q < len(x):
+    for c in range(2 * width + 1):
+        q, first = c // 2, c % 2 == 0
+        if q < width:
+            point[q] = x[q] + (step if first else -step)
+        stopped_slope(point, bits, weight, model, room, ahead if first else behind)
+        if q == width:
+            for i in range(len(model[COMPONENT])):
+                ds[i] = ahead[i]
+        elif not first:
             point[q] = x[q]
-            if side == 1:
-                for l in range(len(learned)):
-                    table[l, q] = (ends[0, learned[l]] - ends[1, learned[l]]) / (2 * step)
-    for l in range(len(learned)):
-        for q in range(len(x)):
-            room[7][l, q] = table[l, q]
+            for l in range(len(learned)):
+                jacobian[l, q] = (ahead[learned[l]] - behind[learned[l]]) / (2 * step)
 
 
 @outer
-def shut_by(bits, shut):
-    """shut = bits."""
-    for k in range(len(shut)):
-        shut[k] = (bits >> k) & 1 == 1
-
-
-@outer
-def move_onto(s, bits, stops):
+def move_onto(s, bits, model):
     """Move positions onto the stops ``bits``."""
-    normal = stops[0]
-    for k in range(len(normal)):
+    stop, n = model[STOP], len(model[COMPONENT])
+    for k in range(len(stop)):
         if (bits >> k) & 1 == 1:
-            size, gap = 0.0, gap_of(s, k, stops)
-            for i in range(normal.shape[1]):
-                size += normal[k, i] * normal[k, i]
-            for i in range(normal.shape[1]):
-                s[i] -= normal[k, i] * gap / size
+            size, gap = 0.0, gap_of(s, k, model)
+            for i in range(n):
+                size += stop[k, NORMAL + i] * stop[k, NORMAL + i]
+            for i in range(n):
+                s[i] -= stop[k, NORMAL + i] * gap / size
 
 
 @outer
-def land(x, bits, held, weight, model, room, ds):
+def land(x, bits, held, weight, model, room):
     """Add the impulses of the stops ``bits`` to the rates in x."""
-    learned, n = model[2][0], len(ds)
-    shut, own, w, force = room[11][0], room[11][1], room[11][3][0], room[11][3][1]
-    shut_by(bits, shut)
-    slope_jacobian(x, weight, model, room, ds)
-    columns_of(model, n, room)
-    for k in range(len(shut)):
-        w[k] = gap_rate(x, k, model)
-    complementary(shut, held, room[11])
-    for k in range(len(shut)):
-        for l in range(len(learned)):
-            x[learned[l]] += own[k, l] * force[k]
+    slope(x, weight, model, room, room[VECTOR][UNREAD])
+    press(x, bits, held, weight, model, room)
 
 
 @outer
 def land_jacobian(x, bits, onto, weight, model, room, by):
     """by [n, n + m] of ``land``, held at the stops ``bits``, by central differences; onto: after
     ``move_onto``."""
-    point, ends, step = room[11][6][0], room[11][7], 1e-6
-    for q in range(len(x)):
+    point, ahead, step = room[VECTOR][NEAR], room[VECTOR][AHEAD], 1e-6
+    n = len(model[COMPONENT])
+    width = n + model[ACTIONS]
+    for q in range(width):
         for side in range(2):
-            for i in range(len(x)):
+            for i in range(width):
                 point[i] = x[i]
             point[q] += step if side == 0 else -step
             if onto:
-                move_onto(point, bits, model[3])
-            land(point, bits, True, weight, model, room, ends[2])
-            for i in range(len(by)):
-                ends[side, i] = point[i]
-        for i in range(len(by)):
-            by[i, q] = (ends[0, i] - ends[1, i]) / (2 * step)
+                move_onto(point, bits, model)
+            land(point, bits, True, weight, model, room)
+            for i in range(n):
+                if side == 0:
+                    ahead[i] = point[i]
+                else:
+                    by[i, q] = (ahead[i] - point[i]) / (2 * step)
 
 
 @outer
-def pressed(room):
+def pressed(model, room):
     """The stops whose forces or impulses are not zero, as bits."""
-    found, force = 0, room[11][3][1]
-    for k in range(len(force)):
+    found, force = 0, room[VECTOR][FORCE]
+    for k in range(len(model[STOP])):
         if force[k] > 0.0:
             found |= 1 << k
     return found
@@ -212,7 +184,7 @@ def pressed(room):
 def shut_at(s, bits, model):
     """Of the stops ``bits``, those whose gaps do not open."""
     found = 0
-    for k in range(len(model[3][1])):
+    for k in range(len(model[STOP])):
         if (bits >> k) & 1 == 1 and gap_rate(s, k, model) <= 1e-9:
             found |= 1 << k
     return found

@@ -2,28 +2,24 @@
 
 A strike is where height(s) = height . A(s) falls to zero: components and actions change places,
 rates become v+ = (I - N)^-1 W phi, and the impulses of the stops that are then shut follow
-(``edtorch/model/impact.py``).  strike: tuple (height [A], order [n], action_order [m], jump [n],
-(parent, factor, node) of phi, weight [L, F]).
+(``edtorch/model/impact.py``).  strike: tuple (height [A], order [n + m] of components and actions,
+jump [n], tree of products of phi [P, 2] and their places in it [F], weight [L, F]).
 """
 
 
 @outer
 def height_and_rate(x, model, strike, room):
     """Of the state and action x, the latter per second."""
-    height, entry, motion = strike[0], room[0], model[2]
-    angle, at, unit, _ = model[0]
-    source, ratio = motion[1], motion[2]
-    lift_into(x, model[0], entry)
+    component, height, entry = model[COMPONENT], strike[0], room[VECTOR][ENTRY]
+    lift_into(x, model, entry)
     value, rate = 0.0, 0.0
-    for a in range(len(entry)):
+    for a in range(len(height)):
         value += height[a] * entry[a]
-    for i in range(len(angle)):
-        if source[i] < 0:
-            continue
-        along = height[at[i]]
-        if angle[i]:
-            along = unit[i] * (along * entry[at[i] + 1] - height[at[i] + 1] * entry[at[i]])
-        rate += along * ratio[i] * x[source[i]]
+    for i in range(len(component)):
+        source = component[i, SOURCE]
+        if source >= 0:
+            along = by_component(height, entry, i, model)
+            rate += along * model[SCALE][i, RATIO] * x[source]
     return value, rate
 
 
@@ -41,28 +37,24 @@ def strike_part(before, after, h, model, strike, room):
 def struck(x, weight, model, strike, room):
     """The state and action x after a strike, without impulses of stops; returns the stops that it
     is at, as bits."""
-    _, order, action_order, jump, tree, by_feature = strike
-    parent, factor, node = tree
-    n, learned, entry, old = len(order), model[2][0], room[0], x.copy()
-    for i in range(n):
-        x[i] = old[order[i]] + jump[i]
-    for j in range(len(action_order)):
-        x[n + j] = old[n + action_order[j]]
-    # Leaves A in room[0] and the factors of I - N in room[4] and room[5].
-    slope(x, weight, model, room, room[11][7][2])
-    product, rates = np.zeros(len(parent)), np.zeros(len(learned))
-    product[0] = 1.0
-    for p in range(1, len(parent)):
-        product[p] = product[parent[p]] * entry[factor[p]]
-    for l in range(len(learned)):
+    _, order, jump, tree, node, by_feature = strike
+    learned, old = model[LEARNED], x.copy()
+    n, count = len(jump), len(learned)
+    for i in range(len(order)):
+        x[i] = old[order[i]] + (jump[i] if i < n else 0.0)
+    # Leaves A and the factors of I - N in the room.
+    slope(x, weight, model, room, room[VECTOR][UNREAD])
+    product, rates = np.zeros(len(tree)), np.zeros(count)
+    products_into(tree, room[VECTOR][ENTRY], product)
+    for l in range(count):
         for k in range(len(node)):
             rates[l] += by_feature[l, k] * product[node[k]]
-    solve(room[4], room[5], rates)
-    for l in range(len(learned)):
+    solve(room[TABLE][MATRIX], room[INDEX][PIVOT], count, rates)
+    for l in range(count):
         x[learned[l]] = rates[l]
     bits = 0
-    for k in range(len(model[3][1])):
-        if gap_of(x, k, model[3]) <= 1e-9:
+    for k in range(len(model[STOP])):
+        if gap_of(x, k, model) <= 1e-9:
             bits |= 1 << k
     return bits
 
@@ -76,46 +68,46 @@ def striking_tick(x, weight, model, strike, room, after):
     tick, so that time always advances.  A strike changes the places of the actions for what is left
     of the tick.
     """
-    motion, stops, point = model[2], model[3], room[8]
-    whole, most, before, end = motion[3] / motion[4], stops[5], room[11][7][3], room[11][6][1]
-    n, events, strikes, left = len(after), 0, 0, motion[3]
+    point, before, end = room[VECTOR][POINT], room[VECTOR][BEFORE], room[VECTOR][END]
+    n, stops, whole = len(model[COMPONENT]), len(model[STOP]), model[SECONDS] / model[SUBSTEPS]
+    width, events, strikes, left = n + model[ACTIONS], 0, 0, model[SECONDS]
     bits, _ = begin(x, weight, model, room, after)
-    for _ in range(motion[4] + most + 1):
+    for _ in range(model[SUBSTEPS] + model[MOST] + 1):
         if left <= 1e-9 * whole:
             return strikes
         h, part, first = min(left, whole), 2.0, -1
         for i in range(n):
             before[i] = after[i]
-        step(after, h, weight, model, room)
-        if events < most:
+        step(after, h, bits, weight, model, room)
+        if events < model[MOST]:
             part, first = first_hit(before, after, h, bits, model)
             sooner = strike_part(before, after, h, model, strike, room)
             if sooner < part:
-                part, first = sooner, len(stops[1])
+                part, first = sooner, stops
         if first >= 0:
             events += 1
             h *= part
             for i in range(n):
                 after[i] = before[i]
-            step(after, h, weight, model, room)
-            for i in range(len(x)):
-                end[i] = after[i] if i < n else point[i]
-            if first < len(stops[1]):
+            step(after, h, bits, weight, model, room)
+            if first < stops:
+                at_hit(after, first, bits, weight, model, room)
                 bits |= 1 << first
-                move_onto(end, 1 << first, stops)
             else:
                 strikes += 1
+                for i in range(width):
+                    end[i] = after[i] if i < n else point[i]
                 bits = struck(end, weight, model, strike, room)
-            land(end, bits, False, weight, model, room, room[11][7][2])
-            for i in range(len(x)):
+                land(end, bits, False, weight, model, room)
+            for i in range(width):
                 if i < n:
                     after[i] = end[i]
                 else:
                     point[i] = end[i]
         bits = shut_at(after, bits, model)
-        shut_by(bits, room[11][0])
         left -= h
-    after[:] = np.nan
+    for i in range(n):
+        after[i] = np.nan
     return strikes
 
 
@@ -128,10 +120,9 @@ def striking_rollouts(start, action, weight, model, strike, state):
     for p in range(len(start)):
         for r in range(start.shape[1]):
             course = state[p, r]
-            course[0] = start[p, r]
+            place(course[0], start[p, r])
             for t in range(action.shape[2]):
-                for i in range(n):
-                    x[i] = course[t, i]
+                place(x, course[t])
                 for j in range(m):
                     x[n + j] = action[p, r, t, j]
                 striking_tick(x, weight[p], model, strike, room, course[t + 1])
@@ -143,18 +134,14 @@ def striking_rollouts(start, action, weight, model, strike, state):
 @outer
 def held_paths(x, shut, seconds, weight, model, path):
     """path [N, Q, n]: from x [N, n + m] on, for seconds [N], which may be less than zero; the stops
-    shut [N, K] hold where they press."""
+    ``shut`` [N], as bits, hold where they press."""
     n, nodes = path.shape[2], path.shape[1]
-    room, state = room_for(n, x.shape[1] - n, model), np.zeros(n)
+    room, state = room_for(n, model[ACTIONS], model), np.zeros(n)
     for r in range(len(x)):
-        for i in range(x.shape[1]):
-            room[8][i] = x[r, i]
-        for k in range(shut.shape[1]):
-            room[11][0][k] = shut[r, k]
+        place(room[VECTOR][POINT], x[r])
         for i in range(n):
             state[i] = x[r, i]
         for q in range(nodes):
-            for i in range(n):
-                path[r, q, i] = state[i]
+            place(path[r, q], state)
             if q + 1 < nodes:
-                step(state, seconds[r] / (nodes - 1), weight, model, room)
+                step(state, seconds[r] / (nodes - 1), shut[r], weight, model, room)

@@ -13,16 +13,16 @@ Nijmeijer, "Dynamics and bifurcations of non-smooth mechanical systems", 2004, s
 
 
 @outer
-def step(after, h, weight, model, room):
-    """``after`` h seconds later, in place; the action is in room[8]."""
-    point, ds, total = room[8], room[9][0], room[9][1]
-    n = len(after)
+def step(after, h, bits, weight, model, room):
+    """``after`` h seconds later, in place; the action is in the row POINT of the room."""
+    point, ds, total = room[VECTOR][POINT], room[VECTOR][DS], room[VECTOR][TOTAL]
+    n = len(model[COMPONENT])
     for stage in range(4):
         part = 0.0 if stage == 0 else (h if stage == 3 else h / 2)
         share = 1.0 if stage in (0, 3) else 2.0
         for i in range(n):
             point[i] = after[i] if stage == 0 else after[i] + part * ds[i]
-        stopped_slope(point, weight, model, room, ds)
+        stopped_slope(point, bits, weight, model, room, ds)
         for i in range(n):
             total[i] = ds[i] if stage == 0 else total[i] + share * ds[i]
     for i in range(n):
@@ -30,15 +30,16 @@ def step(after, h, weight, model, room):
 
 
 @outer
-def step_jacobian(after, h, weight, model, room, by):
+def step_jacobian(after, h, bits, weight, model, room, by):
     """``step``, and by [n, n + m] times its derivative, through every stage."""
-    learned, source, ratio = model[2][0], model[2][1], model[2][2]
-    jacobian, point, ds, total = room[7], room[8], room[9][0], room[9][1]
-    at, change, sums, start = room[10][0], room[10][1], room[10][2], room[10][3]
-    n, width = len(after), len(point)
-    for i in range(n):
-        for q in range(width):
-            start[i, q] = by[i, q]
+    component, scale, learned = model[COMPONENT], model[SCALE], model[LEARNED]
+    point, ds, total = room[VECTOR][POINT], room[VECTOR][DS], room[VECTOR][TOTAL]
+    table = room[TABLE]
+    jacobian, at, change = table[JACOBIAN], table[STAGE], table[CHANGE]
+    sums, start = table[SUMS], table[START]
+    n = len(component)
+    width = n + model[ACTIONS]
+    copy_table(start[:n, :width], by)
     for stage in range(4):
         part = 0.0 if stage == 0 else (h if stage == 3 else h / 2)
         share = 1.0 if stage in (0, 3) else 2.0
@@ -46,10 +47,11 @@ def step_jacobian(after, h, weight, model, room, by):
             point[i] = after[i] if stage == 0 else after[i] + part * ds[i]
             for q in range(width):
                 at[i, q] = start[i, q] if stage == 0 else start[i, q] + part * change[i, q]
-        stopped_jacobian(point, weight, model, room, ds)
+        stopped_jacobian(point, bits, weight, model, room, ds, jacobian)
         for i in range(n):
+            source = component[i, SOURCE]
             for q in range(width):
-                change[i, q] = ratio[i] * at[source[i], q] if source[i] >= 0 else 0.0
+                change[i, q] = scale[i, RATIO] * at[source, q] if source >= 0 else 0.0
         for l in range(len(learned)):
             i = learned[l]
             for q in range(width):
@@ -70,25 +72,24 @@ def step_jacobian(after, h, weight, model, room, by):
 
 @outer
 def begin(x, weight, model, room, after):
-    """Writes the state at the start, landed on the stops that it is beyond; returns those that are
-    shut, and those that press, as bits."""
-    point, start, stops = room[8], room[11][6][1], model[3]
-    n, bits, pressing = len(after), 0, 0
-    for i in range(len(x)):
+    """Writes the state at the start, landed on the stops that it is beyond, and the action into
+    POINT; returns the stops that are shut, and those that press."""
+    point, start = room[VECTOR][POINT], room[VECTOR][END]
+    n, bits, pressing = len(model[COMPONENT]), 0, 0
+    for i in range(n + model[ACTIONS]):
         point[i] = x[i]
         start[i] = x[i]
-    for k in range(len(stops[1])):
-        if gap_of(start, k, stops) <= 1e-9 and gap_rate(start, k, model) <= 1e-9:
+    for k in range(len(model[STOP])):
+        if gap_of(start, k, model) <= 1e-9 and gap_rate(start, k, model) <= 1e-9:
             bits |= 1 << k
     if bits:
-        move_onto(start, bits, stops)
-        land(start, bits, False, weight, model, room, room[11][7][2])
-        pressing = pressed(room)
+        move_onto(start, bits, model)
+        land(start, bits, False, weight, model, room)
+        pressing = pressed(model, room)
         bits = shut_at(start, bits, model)
-    shut_by(bits, room[11][0])
     if bits:
-        stopped_slope(start, weight, model, room, room[11][7][2])
-        pressing |= pressed(room)
+        stopped_slope(start, bits, weight, model, room, room[VECTOR][UNREAD])
+        pressing |= pressed(model, room)
     for i in range(n):
         after[i] = start[i]
     return bits, pressing
@@ -97,13 +98,13 @@ def begin(x, weight, model, room, after):
 @outer
 def first_hit(before, after, h, bits, model):
     """The fraction of a piece at which the first open stop is hit, and that stop, -1 if none is."""
-    stops, earliest, first = model[3], 2.0, -1
-    for k in range(len(stops[1])):
+    earliest, first = 2.0, -1
+    for k in range(len(model[STOP])):
         if (bits >> k) & 1 == 1:
             continue
-        end, end_rate = gap_of(after, k, stops), gap_rate(after, k, model)
+        end, end_rate = gap_of(after, k, model), gap_rate(after, k, model)
         if end < 0.0 and end_rate < 0.0:
-            gap, rate = gap_of(before, k, stops), gap_rate(before, k, model)
+            gap, rate = gap_of(before, k, model), gap_rate(before, k, model)
             part = crossing(gap, rate * h, end, end_rate * h)
             if part < earliest:
                 earliest, first = part, k
@@ -111,45 +112,52 @@ def first_hit(before, after, h, bits, model):
 
 
 @outer
+def at_hit(after, first, bits, weight, model, room):
+    """END: the state ``after`` at the hit of stop ``first``, landed, and the action of POINT."""
+    end, n = room[VECTOR][END], len(model[COMPONENT])
+    for i in range(n + model[ACTIONS]):
+        end[i] = after[i] if i < n else room[VECTOR][POINT][i]
+    move_onto(end, 1 << first, model)
+    land(end, bits | (1 << first), False, weight, model, room)
+
+
+@outer
 def tick(x, weight, model, room, after):
-    """after: the state one tick after x.  Writes its pieces to room[11]: their lengths, the stops
-    that are shut in each, and the one that is hit at the end of each, -1 for none; returns their
-    number.  After ``most`` hits in a tick no more are looked for, so that time always advances."""
-    motion, stops = model[2], model[3]
-    whole, most, before, end = motion[3] / motion[4], stops[5], room[11][7][3], room[11][6][1]
-    length, marks, n = room[11][10], room[11][11], len(after)
+    """after: the state one tick after x.  Writes its pieces to the room: LENGTH, the stops that are
+    SHUT in each, and the one that is HIT at the end of each, -1 for none; returns their number.
+    After ``most`` hits in a tick no more are looked for, so that time always advances."""
+    before, end, length = room[VECTOR][BEFORE], room[VECTOR][END], room[VECTOR][LENGTH]
+    shut, hit, n = room[INDEX][SHUT], room[INDEX][HIT], len(model[COMPONENT])
+    whole, most = model[SECONDS] / model[SUBSTEPS], model[SUBSTEPS] + 2 * model[MOST] + 2
     bits, _ = begin(x, weight, model, room, after)
-    count, hits, left = 0, 0, motion[3]
+    count, hits, left = 0, 0, model[SECONDS]
     while left > 1e-9 * whole:
         h = min(left, whole)
         for i in range(n):
             before[i] = after[i]
-        step(after, h, weight, model, room)
+        step(after, h, bits, weight, model, room)
         part, first = 2.0, -1
-        if hits < most:
+        if hits < model[MOST]:
             part, first = first_hit(before, after, h, bits, model)
-        length[count], marks[0, count], marks[1, count] = h, bits, first
+        length[count], shut[count], hit[count] = h, bits, first
         if first >= 0:
             hits += 1
             length[count] = h = h * part
             for i in range(n):
                 after[i] = before[i]
-            step(after, h, weight, model, room)
-            for i in range(len(x)):
-                end[i] = after[i] if i < n else x[i]
+            step(after, h, bits, weight, model, room)
+            at_hit(after, first, bits, weight, model, room)
             bits |= 1 << first
-            move_onto(end, 1 << first, stops)
-            land(end, bits, False, weight, model, room, room[11][7][2])
             for i in range(n):
                 after[i] = end[i]
         bits = shut_at(after, bits, model)
-        shut_by(bits, room[11][0])
         left -= h
         count += 1
-        if count == len(length):
-            after[:] = np.nan
+        if count == most:
+            for i in range(n):
+                after[i] = np.nan
             return count
-    marks[0, count] = bits
+    shut[count] = bits
     return count
 
 
@@ -166,60 +174,54 @@ def times_table(left, by, spare):
 
 
 @outer
-def saltation(x, after, landed, bits, then, first, weight, model, room, by):
+def saltation(after, landed, bits, then, first, weight, model, room, by):
     """by [n, n + m]: the derivative of the landing of ``after`` on stop ``first``, in time as well;
-    bits, then: the stops that are shut before and after."""
-    shut, end, normal, slopes = room[11][0], room[11][6][1], model[3][0], room[11][7]
-    hit = pressed(room) | (1 << first)
-    n, share = len(after), model[3][6]
-    for i in range(len(x)):
-        end[i] = after[i] if i < n else x[i]
+    bits, then: the stops that are shut before and after.  The action is in POINT."""
+    end, n, share = room[VECTOR][END], len(model[COMPONENT]), model[SHARE]
+    ahead, behind = room[VECTOR][SLOPE_BEFORE], room[VECTOR][SLOPE_AFTER]
+    hit = pressed(model, room) | (1 << first)
+    for i in range(n + model[ACTIONS]):
+        end[i] = after[i] if i < n else room[VECTOR][POINT][i]
     rate = gap_rate(end, first, model)
     land_jacobian(end, hit, False, weight, model, room, by)
-    for k in range(2):
-        shut_by(bits if k == 0 else then, shut)
-        stopped_slope(end, weight, model, room, slopes[4 + k])
-        for i in range(n):
-            end[i] = landed[i]
+    stopped_slope(end, bits, weight, model, room, ahead)
     for i in range(n):
-        lag = slopes[5, i]
+        end[i] = landed[i]
+    stopped_slope(end, then, weight, model, room, behind)
+    for i in range(n):
+        lag = behind[i]
         for j in range(n):
-            lag -= by[i, j] * slopes[4, j]
-        slopes[5, i] = share * lag / rate if rate < 0.0 else 0.0
+            lag -= by[i, j] * ahead[j]
+        behind[i] = share * lag / rate if rate < 0.0 else 0.0
     for i in range(n):
         for j in range(n):
-            by[i, j] += slopes[5, i] * normal[first, j]
+            by[i, j] += behind[i] * model[STOP][first, NORMAL + j]
 
 
 @outer
 def tick_jacobian(x, weight, model, room, after, by):
     """``tick``, and by [n, n + m]: the derivative of ``after`` in x."""
-    shut, end, scratch = room[11][0], room[11][6][1], room[11][7][2]
-    landing, spare = room[11][9][0], room[11][9][1]
-    length, marks = room[11][10], room[11][11]
-    n, count = len(after), tick(x, weight, model, room, after)
+    end, landed, length = room[VECTOR][END], room[VECTOR][BEFORE], room[VECTOR][LENGTH]
+    landing, spare = room[TABLE][LANDING], room[TABLE][SPARE]
+    shut, hit, n = room[INDEX][SHUT], room[INDEX][HIT], len(model[COMPONENT])
+    width, count = n + model[ACTIONS], tick(x, weight, model, room, after)
     for i in range(n):
-        for q in range(len(x)):
+        for q in range(width):
             by[i, q] = 1.0 if i == q else 0.0
     _, pressing = begin(x, weight, model, room, after)
     if pressing:
-        for i in range(len(x)):
+        for i in range(width):
             end[i] = x[i]
         land_jacobian(end, pressing, True, weight, model, room, landing)
         times_table(landing, by, spare)
     for p in range(count):
-        shut_by(marks[0, p], shut)
-        step_jacobian(after, length[p], weight, model, room, by)
-        first = marks[1, p]
+        step_jacobian(after, length[p], shut[p], weight, model, room, by)
+        first = hit[p]
         if first >= 0:
-            bits, then, landed = marks[0, p], marks[0, p + 1], room[11][7][3]
-            for i in range(len(x)):
-                end[i] = after[i] if i < n else x[i]
-            move_onto(end, 1 << first, model[3])
-            land(end, bits | (1 << first), False, weight, model, room, scratch)
+            at_hit(after, first, shut[p], weight, model, room)
             for i in range(n):
                 landed[i] = end[i]
-            saltation(x, after, landed, bits, then, first, weight, model, room, landing)
+            saltation(after, landed, shut[p], shut[p + 1], first, weight, model, room, landing)
             times_table(landing, by, spare)
             for i in range(n):
                 after[i] = landed[i]
@@ -228,8 +230,7 @@ def tick_jacobian(x, weight, model, room, after, by):
 @outer
 def ticks(x, weight, model, after):
     """``tick`` of rows x [P, R, n + m], each P with a weight of its own [P, L, K]."""
-    n = after.shape[2]
-    room = room_for(n, x.shape[2] - n, model)
+    room = room_for(after.shape[2], model[ACTIONS], model)
     for p in range(len(x)):
         for r in range(x.shape[1]):
             tick(x[p, r], weight[p], model, room, after[p, r])
@@ -238,7 +239,6 @@ def ticks(x, weight, model, after):
 @outer
 def tick_jacobians(x, weight, model, after, by):
     """``tick_jacobian`` of rows x [R, n + m], all with the same weight."""
-    n = after.shape[1]
-    room = room_for(n, x.shape[1] - n, model)
+    room = room_for(after.shape[1], model[ACTIONS], model)
     for r in range(len(x)):
         tick_jacobian(x[r], weight, model, room, after[r], by[r])
