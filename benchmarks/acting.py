@@ -3,11 +3,12 @@
     python -m benchmarks.acting [--rounds 7] [--json FILE]
 
 The policies that searches between trials leave, of random parameters: a plan with gains by tick,
-knots at its states, monomials of the lift, radial functions, a network, a regulator; and the
-bicycle's, linear in the state.
+knots at its states, monomials of the lift, radial functions, a network, a gait's curves, a
+regulator; and the bicycle's, linear in the state.
 
-Microseconds of ``LearnedPolicy.predict`` (units, checks and bounds included), of the actor alone
-on tensors, and, where roll-outs of the policy are compiled, of a tick of one, the model included.
+Microseconds of ``LearnedPolicy.predict`` (units, checks and bounds included), which is on numpy for
+one state (``edtorch.law``); of the actor alone on tensors; and, where roll-outs of the policy are
+compiled, of a tick of one, the model included.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ POLICIES = {
     "monomials": ["experiment=pendulum_swingup", "search=gradient", "search.odd=true"],
     "radial": [*ADAM, "search/policy=rbf"],
     "network": [*ADAM, "search/policy=mlp"],
+    "phase": ["experiment=walker"],
     "regulator": ["experiment=cartpole_swingup", "search=regulated", "search.held={angle: 0.0}"],
     "linear": ["experiment=bicycle"],
 }

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from edtorch.law import Law
 
 
 class Circle:
@@ -17,6 +20,11 @@ class Circle:
     def wrapped(self, difference: Tensor) -> Tensor:
         """Differences of states ``[*batch, n]``, those of angles within half a turn."""
         return difference - self.period * torch.round(difference / self._turn)
+
+    def law(self) -> Law:
+        """``wrapped`` on numpy."""
+        period, turn = self.period.numpy(), self._turn.numpy()
+        return lambda difference: difference - period * np.rint(difference / turn)
 
 
 def wrapped(difference: Tensor, period: Tensor) -> Tensor:

@@ -114,7 +114,7 @@ class Run:
 
     def env_seeds(self, episodes: int) -> list[list[int]]:
         """For a Gymnasium environment, the seeds that ``evaluate`` resets it with, by learner: with
-        them a loop of your own over ``predict`` gives the same episodes."""
+        them a loop of your own over ``predict`` gives the same episodes, to rounding."""
         world = self._world()
         seed_of = getattr(world.sim, "env_seed", None)
         if seed_of is None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from edtorch.law import Law
 from edtorch.model.told import Told
 
 
@@ -81,6 +84,19 @@ class Lift:
         one = torch.ones_like(state[..., :1])
         found = torch.cat([one, state, action, radians.sin(), radians.cos()], dim=-1)
         return found.index_select(-1, order)
+
+    def law(self, entries: NDArray[Any] | None = None) -> Law:
+        """``of_state`` of one state ``[n]`` (``edtorch.law``), of these entries or all."""
+        angles, unit, order = (each.numpy() for each in self._places)
+        order = order if entries is None else order[entries]
+        one, action = np.ones(1), np.zeros(self.actions)
+
+        def lifted(state: NDArray[Any]) -> NDArray[Any]:
+            radians = state[angles] * unit
+            parts = (one, state, action, np.sin(radians), np.cos(radians))
+            return np.concatenate(parts)[order]
+
+        return lifted
 
     def jacobian(self, state: Tensor, action: Tensor) -> Tensor:
         """d A / d (s, u), ``[*batch, size, n + m]``."""

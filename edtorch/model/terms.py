@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.law import Law
 from edtorch.model.lift import Lift
 from edtorch.model.told import Told
 
@@ -108,6 +109,11 @@ class Terms:
         for column in self._columns[1:]:
             found = found * lifted[..., column]
         return found
+
+    def law(self) -> Law:
+        """``__call__`` on numpy, ``[size] -> [K]``."""
+        columns = np.ascontiguousarray(self.factors.T)
+        return lambda lifted: np.multiply.reduce(lifted[columns], axis=0)
 
     def jacobian(self, lifted: Tensor, slope: Tensor) -> Tensor:
         """Derivatives ``[*batch, K, p]``, without the factors f_j, of A with slope dA ``[*batch,

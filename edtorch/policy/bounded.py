@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 from torch import Tensor
 
+from edtorch.law import Arrays, Law
 from edtorch.model.terms import Terms
 from edtorch.policy.squash import Squash
 from edtorch.types import Parameters
@@ -39,6 +40,10 @@ class BoundedPolicy(ABC):
     def random(self, count: int, spread: float, generator: np.random.Generator) -> Parameters:
         """``count`` sets of parameters to begin a search from; spread: of the raw actions."""
 
+    def raw_law(self, parameters: Arrays) -> Law | None:
+        """``raw`` of one state ``[n]`` (``edtorch.law``); None if it is left to torch."""
+        return None
+
     @abstractmethod
     def raw(self, parameters: Parameters, state: Tensor, /) -> Tensor:
         """z, ``[*more, B, n] -> [*more, B, m]``."""
@@ -47,6 +52,12 @@ class BoundedPolicy(ABC):
     def action(self, parameters: Parameters, state: Tensor, /) -> Tensor:
         """``[*more, B, n] -> [*more, B, m]``."""
         return self.squash(self.raw(parameters, state))
+
+    @final
+    def law(self, parameters: Arrays) -> Law | None:
+        """``action`` of one state ``[n]`` (``edtorch.law``)."""
+        raw = self.raw_law(parameters)
+        return None if raw is None else self.squash.law(raw)
 
 
 @final
@@ -73,3 +84,8 @@ class OddPolicy(BoundedPolicy):
     def raw(self, parameters: Parameters, state: Tensor, /) -> Tensor:
         """See ``BoundedPolicy``."""
         return (self.policy.raw(parameters, state) - self.policy.raw(parameters, -state)) / 2
+
+    def raw_law(self, parameters: Arrays) -> Law | None:
+        """See ``BoundedPolicy``."""
+        raw = self.policy.raw_law(parameters)
+        return None if raw is None else lambda state: (raw(state) - raw(-state)) / 2

@@ -12,16 +12,21 @@ shrunk so that it attracts what is near.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, final
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from edtorch.circle import Circle
+from edtorch.law import Arrays, Law
 from edtorch.linalg import matvec
 from edtorch.policy.squash import Squash
 from edtorch.types import Parameters
 
 
+@final
 class KnotPolicy:
     """k = ``knots`` local policies.
 
@@ -68,3 +73,22 @@ class KnotPolicy:
         phi = self.features(parameters, away).unsqueeze(-1)
         local = parameters["raw"] + matvec(parameters["gain"], away)
         return self.squash((phi * local).sum(-2))
+
+    def law(self, parameters: Arrays) -> Law:
+        """``action`` of one state ``[n]`` (``edtorch.law``)."""
+        knots, raws, gains = (parameters[name] for name in ("state", "raw", "gain"))
+        metric, factor = self.metric.numpy(), np.square(parameters["factor"])
+        width, wrapped = 2 * self.width**2, self.circle.law()
+        flat = gains.swapaxes(0, 1).reshape(raws.shape[1], -1)
+
+        def raw(state: NDArray[Any]) -> NDArray[Any]:
+            away = wrapped(state - knots)
+            squares = np.square(away / metric).sum(-1) * factor
+            nearest = squares.argmin()
+            if width == 0:
+                return raws[nearest] + gains[nearest] @ away[nearest]
+            phi = np.exp((squares[nearest] - squares) / width)
+            phi /= phi.sum()
+            return phi @ raws + flat @ (phi[:, None] * away).ravel()
+
+        return self.squash.law(raw)

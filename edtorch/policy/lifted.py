@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.law import Arrays, Law
 from edtorch.linalg import matvec
 from edtorch.model.lift import Lift
 from edtorch.model.terms import Terms
@@ -52,6 +53,11 @@ class LiftedPolicy(BoundedPolicy):
     def raw(self, parameters: Parameters, state: Tensor, /) -> Tensor:
         """theta . phi."""
         return matvec(parameters["weight"], self.features(state))
+
+    def raw_law(self, parameters: Arrays) -> Law:
+        """See ``BoundedPolicy``."""
+        weight, lifted, terms = parameters["weight"], self.lift.law(), self.terms.law()
+        return lambda state: weight @ terms(lifted(state))
 
     @property
     def _shape(self) -> tuple[int, int]:

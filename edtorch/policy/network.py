@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from edtorch.initial import drawn
+from edtorch.law import Arrays, Law
 from edtorch.model.lift import Lift
 from edtorch.policy.bounded import BoundedPolicy
 from edtorch.policy.squash import Squash
@@ -62,3 +64,16 @@ class NetworkPolicy(BoundedPolicy):
                 rows = rows.tanh()
             rows = torch.baddbmm(parameters[bias].unsqueeze(1), rows, parameters[weight].mT)
         return rows.reshape(*own.shape[:-1], rows.shape[-1]).movedim(0, -2)
+
+    def raw_law(self, parameters: Arrays) -> Law:
+        """See ``BoundedPolicy``."""
+        lifted = self.lift.law(self.entries.numpy())
+        first, *layers = [(parameters[weight], parameters[bias]) for weight, bias in self._names]
+
+        def raw(state: NDArray[Any]) -> NDArray[Any]:
+            row = first[0] @ lifted(state) + first[1]
+            for weight, bias in layers:
+                row = weight @ np.tanh(row) + bias
+            return row
+
+        return raw

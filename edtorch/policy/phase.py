@@ -10,12 +10,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from edtorch.law import Arrays, Law
 from edtorch.linalg import matvec
 from edtorch.policy.bounded import BoundedPolicy
 from edtorch.policy.squash import Squash
@@ -104,6 +106,7 @@ class PhaseForm:
         )
 
 
+@final
 class PhasePolicy(BoundedPolicy):
     """z = drive (stiffness (target - joint) - damping rate of the joint), where joints, phase are
     linear in the positions; target = sum_k binomial_k tau^k (1 - tau)^(d - k) point_k + feedback
@@ -231,6 +234,26 @@ class PhasePolicy(BoundedPolicy):
             targets.append(target)
         away = torch.stack(targets, dim=-1) - matvec(joint, state)
         return matvec(drive, gain[:, 0] * away - gain[:, 1] * matvec(rate, state))
+
+    def raw_law(self, parameters: Arrays) -> Law:
+        """See ``BoundedPolicy``."""
+        phase, joint, rate, gain, binomial, place, drive = self.form.arrays
+        vector = np.concatenate([parameters[name] for name in self._sizes])
+        first, fed = place.astype(int).T
+        up, counts = np.arange(binomial.shape[1]), (binomial > 0).sum(1, keepdims=True)
+        down = np.maximum(counts - 1 - up, 0)
+        # Beyond a joint's own points, and without feedback, the factor is zero: any index does.
+        points = binomial * vector[np.minimum(first[:, None] + up, self.size - 1)]
+        feedback = np.where(fed < 0, 0.0, vector[fed])
+        start, width = vector[:2].tolist()
+
+        def raw(state: NDArray[Any]) -> NDArray[Any]:
+            now, speed = phase @ state
+            tau = min(max((now - start) / width, 0.0), 1.0)
+            target = (points * tau**up * (1 - tau) ** down).sum(-1) + feedback * speed
+            return drive @ (gain[:, 0] * (target - joint @ state) - gain[:, 1] * (rate @ state))
+
+        return raw
 
     @cached_property
     def _tensors(self) -> tuple[Tensor, ...]:

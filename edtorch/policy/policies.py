@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from edtorch.initial import population
+from edtorch.law import Arrays, Law
 from edtorch.linalg import matvec
 from edtorch.model.features import FeatureMap, linear_part
 from edtorch.shapes import Actions, States
@@ -116,6 +118,17 @@ class LinearPolicy(nn.Module):
         """What the ``weight`` ``[*batch, m, k]`` means if pi is linear or affine in the state."""
         part = linear_part(self.features, parameters["weight"])
         return None if part is None else LinearGain(part.matrix, part.constant)
+
+    def law(self, parameters: Arrays) -> Law | None:
+        """``action`` of one state ``[n]`` (``edtorch.law``); None unless it is linear."""
+        gain = self.linear_gain({"weight": torch.from_numpy(parameters["weight"])})
+        if gain is None or type(self).action is not LinearPolicy.action:
+            return None
+        matrix, limit = gain.state.numpy(), parameters.get("limit")
+        constant = 0.0 if gain.constant is None else gain.constant.numpy()
+        if limit is None:
+            return lambda state: matrix @ state + constant
+        return lambda state: matrix @ np.minimum(np.maximum(state, -limit), limit) + constant
 
     def of_gain(self, gain: LinearGain) -> Parameters:
         """A gradient with respect to the gain as one with respect to the ``weight``."""

@@ -9,23 +9,20 @@ eq. 32, whose widths are shared by the centres, too).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import final
+from collections.abc import Sequence
+from typing import Any, final
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from edtorch.law import Arrays, Law
 from edtorch.linalg import matvec
 from edtorch.model.lift import Lift
 from edtorch.policy.bounded import BoundedPolicy
 from edtorch.policy.squash import Squash
 from edtorch.types import Parameters
-
-_SHAPES: Mapping[bool, Callable[[Tensor], Tensor]] = {
-    True: lambda exponent: torch.softmax(exponent, dim=-1),
-    False: torch.exp,
-}
 
 
 @final
@@ -52,7 +49,7 @@ class RadialPolicy(BoundedPolicy):
         super().__init__(squash)
         self.lift, self.entries = lift, torch.tensor(lift.entries_of(components))
         self.centres, self.width = centres, width
-        self._shape = _SHAPES[normalised]
+        self.normalised = normalised
 
     def initial(self, seeds: Sequence[int]) -> Parameters:
         """The middle of the range of each action, everywhere."""
@@ -67,11 +64,26 @@ class RadialPolicy(BoundedPolicy):
         """phi: ``[*more, B, n] -> [*more, B, k]``."""
         x = self.lift.of_state(state).index_select(-1, self.entries).unsqueeze(-2)
         away = (x - parameters["centre"]) * (-parameters["log_width"]).exp().unsqueeze(-2)
-        return self._shape(-0.5 * away.square().sum(-1))
+        exponent = -0.5 * away.square().sum(-1)
+        return torch.softmax(exponent, dim=-1) if self.normalised else torch.exp(exponent)
 
     def raw(self, parameters: Parameters, state: Tensor, /) -> Tensor:
         """W phi."""
         return matvec(parameters["weight"], self.features(parameters, state))
+
+    def raw_law(self, parameters: Arrays) -> Law:
+        """See ``BoundedPolicy``."""
+        weight, centre = parameters["weight"], parameters["centre"]
+        scale, lifted = np.exp(-parameters["log_width"]), self.lift.law(self.entries.numpy())
+
+        def raw(state: NDArray[Any]) -> NDArray[Any]:
+            exponent = -0.5 * np.square((lifted(state) - centre) * scale).sum(-1)
+            if not self.normalised:
+                return weight @ np.exp(exponent)
+            phi = np.exp(exponent - exponent.max())
+            return weight @ phi / phi.sum()
+
+        return raw
 
     def _parameters(self, count: int, spread: float, generator: np.random.Generator) -> Parameters:
         lift, m = self.lift, len(self.squash.half)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from edtorch.law import Law
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,11 @@ class Squash:
     def __call__(self, raw: Tensor) -> Tensor:
         """The action of a raw one."""
         return self.middle + self.half * torch.tanh(raw)
+
+    def law(self, raw: Law) -> Law:
+        """Of raw actions by this law."""
+        middle, half = self.middle.numpy(), self.half.numpy()
+        return lambda state: middle + half * np.tanh(raw(state))
 
     def inverse(self, action: Tensor, gain: Tensor) -> tuple[Tensor, Tensor]:
         """Raw action ``[m]`` and raw gain ``[m, n]`` of a linear policy about an action: equal to

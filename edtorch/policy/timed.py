@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, final
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from edtorch.circle import Circle
+from edtorch.law import Arrays, Law
 from edtorch.linalg import matvec
 from edtorch.policy.squash import Squash
 from edtorch.types import Parameters
 
 
+@final
 class TimedPolicy:
     """pi(s, t) = squash(z_t + K_t (s - s_t)), the plan being s_t, z_t and K_t.
 
@@ -51,3 +55,14 @@ class TimedPolicy:
         return self.squash(
             parameters["raw"][row, tick] + matvec(parameters["gain"][row, tick], away)
         )
+
+    def law(self, parameters: Arrays) -> Law:
+        """``action`` of one state ``[n + 1]`` (``edtorch.law``)."""
+        plan, raws, gains = (parameters[name] for name in ("state", "raw", "gain"))
+        last, wrapped = self.horizon - 1, self.circle.law()
+
+        def raw(state: NDArray[Any]) -> NDArray[Any]:
+            tick = min(max(int(state[-1]), 0), last)
+            return raws[tick] + gains[tick] @ wrapped(state[:-1] - plan[tick])
+
+        return self.squash.law(raw)

@@ -4,9 +4,13 @@ earns and when it is a success."""
 from __future__ import annotations
 
 import math
+from functools import cached_property
+from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from numpy.typing import NDArray
 from torch import Tensor
 
 from edtorch.rewards import Reward
@@ -113,6 +117,27 @@ class World:
         turns = torch.round((before - wrapped) * self.turns)
         counted = wrapped + turns * self.period
         return torch.where(counted.abs() <= self.farthest, counted, wrapped)
+
+    def counted_array(self, observed: NDArray[Any], before: NDArray[Any] | None) -> NDArray[Any]:
+        """``counted`` of one observation ``[n]`` on numpy, for worlds in float64."""
+        scale, _, _, _, turns, period, farthest = self._arrays
+        wrapped = observed / scale
+        if before is None or not self.unwraps:
+            return wrapped
+        counted = wrapped + np.rint((before - wrapped) * turns) * period
+        return np.where(np.abs(counted) <= farthest, counted, wrapped)
+
+    def physical_array(self, action: NDArray[Any]) -> NDArray[Any]:
+        """``physical`` of ``clip`` of one action ``[m]`` on numpy."""
+        _, unit, low, high, *_ = self._arrays
+        if self.spec.clip_action:
+            action = np.minimum(np.maximum(action, low), high)
+        return action * unit
+
+    @cached_property
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        own = self._state_scale, self._action_scale, self._low, self._high
+        return tuple(each.numpy() for each in (*own, self.turns, self.period, self.farthest))
 
     def clip(self, action: Actions) -> Actions:
         """The scaled action as it acts: within its bounds where the domain clips."""

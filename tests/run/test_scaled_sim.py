@@ -22,6 +22,9 @@ def test_scales_clips_and_counts() -> None:
     assert world.clip(action).tolist() == [[1.0, -0.5]]
     loose = World(Bicycle(clip_action=False))
     assert loose.clip(action) is action
+    for each in (world, loose):
+        wanted = each.physical(each.clip(action))[0]
+        assert each.physical_array(action[0].numpy()).tolist() == wanted.tolist()
     assert world.period.tolist() == [0, 0, 0, 0, 2]
     assert world.limit_ticks == 100_000
 
@@ -79,6 +82,11 @@ def test_angles_are_counted_on_until_they_are_too_far() -> None:
     jumps = angle.diff().abs() > 0.2
     assert bool(jumps.any()) and bool((plain[1:][jumps].abs() < math.pi).all())
     assert float(angle[:-1][jumps].abs().min()) > math.pi + 1.5 - 0.11
+    # On numpy alike, which policies act by.
+    alone = None
+    for state, wanted in zip(states, seen, strict=True):
+        alone = world.counted_array(world.sim.observe(state[None])[0].numpy(), alone)
+        assert alone.tolist() == wanted[0].tolist()
     # An episode begins wrapped.
     assert torch.equal(world.observe(states), wrapped.observe(states))
 
