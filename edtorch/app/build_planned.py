@@ -114,7 +114,7 @@ def build_strike(config: Settings, told: Told) -> Strike | None:
     given = config.told.strike
     if not given:
         return None
-    known_keys("told.strike", given, {"height", "swap", "counter"})
+    known_keys("told.strike", given, {"height", "swap", "counter", "jump"})
     try:
         return Strike.of(
             told,
@@ -127,8 +127,17 @@ def build_strike(config: Settings, told: Told) -> Strike | None:
         raise ConfigError(str(error)) from error
 
 
+def _jumps(config: Settings) -> bool:
+    """Whether rates jump at a strike.  Raises ConfigError."""
+    jump = (config.told.strike or {}).get("jump", "learned")
+    if jump not in ("learned", "none"):
+        raise ConfigError(f"told.strike.jump={jump}: expected learned or none")
+    return jump == "learned"
+
+
 def _hybrid(
     strike: Strike | None,
+    jumps: bool,
     models_strikes: bool,
     stops: Stops | None,
     structures: Mapping[str, Structure],
@@ -150,7 +159,7 @@ def _hybrid(
         )
     (structure,) = structures.values()
     with under("told.strike"):
-        features = impact_terms(told, structure.lift)
+        features = impact_terms(told, structure.lift) if jumps else None
     weight = np.zeros((len(structure.learned), structure.terms.count))
     bounds = world.action_middle.numpy(), world.action_half_range.numpy()
 
@@ -195,7 +204,7 @@ def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchPr
         goal=wanted_states(first, rows, world.dt),
         told=told,
         hybrid=_hybrid(
-            *(build_strike(config, told), search.models_strikes, stops),
+            *(build_strike(config, told), _jumps(config), search.models_strikes, stops),
             *(structures, told, world, noise),
         ),
     )

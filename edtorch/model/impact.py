@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -102,6 +103,26 @@ def fit_impact(
     own = torch.zeros(allowed.shape, dtype=X.dtype)
     own[allowed] = found.weight[0]
     return Impact(terms, own @ share, float(found.noise.sqrt()), count)
+
+
+def no_jump(structure: Structure, weight: Tensor) -> Impact:
+    """Rates that are the same after a strike: W phi = (I - N) v, for the free model with ``weight``
+    ``[L, K]``."""
+    terms, rates = structure.terms, structure.lift.at[structure.learned]
+    own: dict[tuple[int, ...], np.ndarray] = {}
+
+    def add(output: int, factors: tuple[int, ...], value: float) -> None:
+        own.setdefault(factors, np.zeros(len(rates)))[output] += value
+
+    for output, rate in enumerate(rates.tolist()):
+        add(output, (rate,), 1.0)
+    for k, j in enumerate(terms.derivative.tolist()):
+        if j >= 0:
+            entries = (*(int(entry) for entry in terms.factors[k] if entry), int(rates[j]))
+            for output, value in enumerate(weight[:, k].tolist()):
+                add(output, tuple(sorted(entries)), -value)
+    listed = Terms.listed([(-1, factors) for factors in own])
+    return Impact(listed, torch.from_numpy(np.stack(list(own.values()), -1)), 0.0, 0)
 
 
 def _across(structure: Structure, weight: Tensor, kinks: Kinks, columns: Tensor) -> Tensor:

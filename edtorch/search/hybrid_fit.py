@@ -16,7 +16,7 @@ from torch import Tensor
 from edtorch.errors import FitError
 from edtorch.model.event_free import free_ticks
 from edtorch.model.evidence import Posterior
-from edtorch.model.impact import fit_impact
+from edtorch.model.impact import fit_impact, no_jump
 from edtorch.model.mechanism import Structure
 from edtorch.model.path_fit import fit_paths
 from edtorch.model.stops import Stops
@@ -46,7 +46,7 @@ class LearnedHybrid:
 def learn_hybrid(
     model: TickModel,
     strike: Strike,
-    features: tuple[Terms, Ties],
+    features: tuple[Terms, Ties] | None,
     transition: Transition,
     noise: Tensor,
     *,
@@ -55,7 +55,8 @@ def learn_hybrid(
     """``model``, whose weights are not used, with weights from ``transition``; ``strike`` with the
     height learned if it is nan.
 
-    features: of the jump of the rates, such as ``edtorch.model.chain.impact_terms``; transition:
+    features: of the jump of the rates, such as ``edtorch.model.chain.impact_terms``, None where
+    they do not jump; transition:
     ``[N]`` rows, scaled, of one dt; noise ``[n]``: standard deviations of readings, scaled.  Raises
     FitError where too few ticks are free of events or strikes.
     """
@@ -74,5 +75,8 @@ def learn_hybrid(
         # Places are changed back by changing them again.
         strike = strike.with_height(model.structure, strike.relabelled(kinks.before))
     columns = torch.from_numpy(stops.column)
-    impact = fit_impact(model.structure, posterior.weight, kinks, columns, *features)
-    return LearnedHybrid(StrikingModel(known, strike, impact), posterior, count, impact.count)
+    if features is None:
+        impact = no_jump(model.structure, posterior.weight)
+    else:
+        impact = fit_impact(model.structure, posterior.weight, kinks, columns, *features)
+    return LearnedHybrid(StrikingModel(known, strike, impact), posterior, count, len(kinks.before))

@@ -268,6 +268,11 @@ def test_a_strike_is_refused_by_searches_that_do_not_model_it() -> None:
         build_planned(compose(["experiment=stop_pendulum", strike]))
 
 
+def test_an_unknown_jump_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"told\.strike\.jump=up: expected learned or none"):
+        build_planned(compose(["experiment=walker", "+told.strike.jump=up"]))
+
+
 @pytest.mark.parametrize(
     ("argument", "words"),
     [

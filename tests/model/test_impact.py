@@ -7,7 +7,7 @@ import torch
 
 from edtorch.errors import FitError
 from edtorch.model.chain import impact_terms
-from edtorch.model.impact import Impact, Kinks, fit_impact
+from edtorch.model.impact import Impact, Kinks, fit_impact, no_jump
 from edtorch.model.mechanism import coupled
 from sims.rows import TORCH
 from sims.tasks.five_links import foot_over, impact_over
@@ -61,6 +61,12 @@ def wrong(found: Impact, kinks: Kinks) -> float:
     free = ~kinks.held.any(-1)
     rates = found(built, true_weight(built), kinks.before[free])
     return float((rates - kinks.after[free, 1:10:2]).abs().max()) * 6
+
+
+def test_without_a_jump_rates_are_the_same() -> None:
+    built, before = structure(), strikes(5, 7).before
+    found = no_jump(built, true_weight(built))(built, true_weight(built), before)
+    torch.testing.assert_close(found, before[:, 1:10:2], rtol=1e-12, atol=1e-12)
 
 
 def test_the_matrix_is_the_inertia_by_rows() -> None:
