@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -80,6 +79,15 @@ class PlannedSetup:
         random = number < search.random_trials
         asked = search.random if random and search.random is not None else search.trial
         return whole if asked is None else min(asked, whole)
+
+    def fits(self, number: int, seconds: float) -> bool:
+        """Whether the budget lets the trial of this number begin, after so many seconds."""
+        limit = self.budget.seconds
+        return limit is None or seconds + self.longest(number) <= limit + 1e-9
+
+    def longest(self, number: int) -> float:
+        """Seconds of all runs of a trial at most."""
+        return self.length(number) * self.search.runs(number)
 
 
 def is_planned(config: Settings) -> bool:
@@ -256,12 +264,7 @@ def build_planned(config: Settings) -> PlannedSetup:
         actor, _ = search.actor(problem)
     budget = given_budget(config.train) or Budget(episodes=10)
     check_ticks(budget, world.dt)
-    first = min(world.limit_ticks * world.dt, search.random or search.trial or math.inf)
-    if budget.seconds is not None and budget.seconds < first - 1e-9:
-        raise ConfigError(
-            f"train.seconds={budget.seconds:g}: expected at least the first trial, {first:g} s"
-        )
-    return PlannedSetup(
+    setup = PlannedSetup(
         name=_name(config),
         search=search,
         problem=problem,
@@ -279,6 +282,12 @@ def build_planned(config: Settings) -> PlannedSetup:
         native=evaluation_mode(config),
         threads=config.compute.threads,
     )
+    if not setup.fits(0, 0.0):
+        raise ConfigError(
+            f"train.seconds={budget.seconds:g}: expected at least the first trial,"
+            f" {setup.longest(0):g} s"
+        )
+    return setup
 
 
 def _name(config: Settings) -> str:

@@ -126,15 +126,13 @@ class PlannedLearners(Work):
 
     def _acting(self) -> list[int]:
         """Rows that still run trials; all of these have had the same number."""
-        setup, limit = self._setup, self._setup.budget
-        seconds = math.inf if limit.seconds is None else limit.seconds
+        setup = self._setup
         return [
             row
             for row, each in enumerate(self._progress)
             if each.solved is None
             and (setup.trials is None or each.trials < setup.trials)
-            and each.seconds + setup.length(each.trials) * setup.search.runs(each.trials)
-            <= seconds + 1e-9
+            and setup.fits(each.trials, each.seconds)
         ]
 
     def _trials(self, rows: list[int], number: int) -> list[list[Trial]]:

@@ -233,6 +233,12 @@ def test_refuses_with_one_line(
     assert words in result.line
 
 
+def test_refuses_a_budget_below_the_runs_of_the_first_trial(command: Callable[..., Result]) -> None:
+    result = command("edtorch-train", "experiment=walker", "train.seconds=30")
+    assert result.status != 0
+    assert "train.seconds=30: expected at least the first trial, 40 s" in result.line
+
+
 def test_what_is_to_be_followed_is_for_planners_alone(command: Callable[..., Any]) -> None:
     wave = "{amplitude: 1, period: 1}"
     result = command(
