@@ -15,6 +15,7 @@ from edtorch.model.stops import Stops
 from edtorch.model.strike import Strike
 from edtorch.model.terms import Factors
 from edtorch.model.told import Told
+from edtorch.search.ground import GroundForce
 from sims.tasks.five_links import CENTRES, GRAVITY, INERTIAS, MASSES
 from sims.tasks.walker import Walker
 
@@ -134,3 +135,12 @@ def strike(height: dict[str, float] | None = HEIGHT) -> Strike:
         },
         counter="steps",
     )
+
+
+def true_ground() -> GroundForce:
+    """``sims.tasks.five_links.ground_over`` exactly."""
+    weight = np.zeros((2, 21))
+    weight[0, 1:20:4], weight[0, 2:20:4] = _RATE * G, -(_RATE**2) * G
+    weight[1, 0:20:4], weight[1, 3:20:4] = -_RATE * G, -(_RATE**2) * G
+    weight[1, 20] = GRAVITY * sum(MASSES)
+    return GroundForce(weight, np.arange(0, 10, 2), np.zeros(2))

@@ -1,11 +1,10 @@
-"""A minimum by an evolution strategy with an adapted covariance matrix (CMA-ES; Hansen & Ostermeier
-2001), by the package cmaes: where gradients of a cost with events mislead."""
+"""CMA-ES, an evolution strategy with an adapted covariance matrix (Hansen & Ostermeier 2001), by
+the package cmaes: where gradients of a cost with events mislead."""
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,54 +12,41 @@ import numpy as np
 from edtorch.errors import NoPlan, Unavailable
 
 
-@dataclass(frozen=True)
-class Evolved:
-    """vector ``[p]``: the best one that was tried; cost: its cost; tried: how many were; dropped:
-    those whose cost was not finite."""
+class Evolution:
+    """A normal distribution of vectors ``[p]`` that moves to where a cost is low.
 
-    vector: np.ndarray
-    cost: float
-    tried: int
-    dropped: int
-
-
-def evolve(
-    cost: Callable[[np.ndarray], np.ndarray],
-    middle: np.ndarray,
-    deviation: np.ndarray,
-    spread: float,
-    generations: int,
-    size: int,
-    seed: int,
-) -> Evolved:
-    """The least ``cost`` of vectors ``[C, p] -> [C]`` from ``generations`` of ``size`` vectors
-    each, the first normal about ``middle`` with ``spread`` times the deviations ``[p]``.
-
-    A cost that is not finite counts as the worst of its generation.  Raises Unavailable without
-    cmaes, and NoPlan where no cost is finite.
+    It begins about ``middle`` with ``spread`` times the deviations ``[p]``, and draws ``size``
+    vectors a generation.  Raises Unavailable without cmaes.
     """
-    strategy = cmaes_module().CMA(
-        mean=np.zeros(len(middle)), sigma=spread, seed=seed, population_size=size
-    )
-    best, least, dropped = middle, np.inf, 0
-    for _ in range(generations):
-        drawn = np.array([strategy.ask() for _ in range(size)])
-        vectors = middle + deviation * drawn
-        found = cost(vectors)
+
+    def __init__(
+        self, middle: np.ndarray, deviation: np.ndarray, spread: float, size: int, seed: int
+    ) -> None:
+        self._middle, self._deviation = middle, deviation
+        self._strategy = cmaes_module().CMA(
+            mean=np.zeros(len(middle)), sigma=spread, seed=seed, population_size=size
+        )
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Of the distribution, ``[p]``."""
+        return self._middle + self._deviation * self._strategy.mean
+
+    def generation(self, cost: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """The costs ``[size]`` of a generation, by a cost of vectors ``[C, p] -> [C]``, which may
+        be another one each time.
+
+        A cost that is not finite counts as the worst of its generation.  Raises NoPlan where none
+        is finite.
+        """
+        drawn = np.array([self._strategy.ask() for _ in range(self._strategy.population_size)])
+        found = cost(self._middle + self._deviation * drawn)
         finite = np.isfinite(found)
-        dropped += int(size - finite.sum())
-        if finite.any():
-            found = np.where(finite, found, found[finite].max())
-            first = int(found.argmin())
-            if found[first] < least:
-                best, least = vectors[first], float(found[first])
-        else:
-            found = np.zeros(size)
-        strategy.tell(list(zip(drawn, found.tolist(), strict=True)))
-    tried = generations * size
-    if not np.isfinite(least):
-        raise NoPlan(f"none of {tried} vectors has a finite cost")
-    return Evolved(best, least, tried, dropped)
+        if not finite.any():
+            raise NoPlan(f"none of {len(found)} vectors has a finite cost")
+        ranked = np.where(finite, found, found[finite].max())
+        self._strategy.tell(list(zip(drawn, ranked.tolist(), strict=True)))
+        return found
 
 
 def cmaes_module() -> Any:

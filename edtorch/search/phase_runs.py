@@ -34,6 +34,11 @@ class PhaseRuns:
     ticks: np.ndarray
     strikes: np.ndarray
 
+    def shares(self, length: np.ndarray, cadence: float) -> np.ndarray:
+        """``[C, P]``: of its ``length`` ``[P]``, the ticks that a run made, or its strikes of
+        ``cadence`` a tick if that is less; the strike after the last one counts as made."""
+        return np.minimum(self.ticks, (self.strikes + 1) / cadence) / length
+
 
 def phase_runs(
     model: StrikingModel,

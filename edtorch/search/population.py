@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from functools import partial
+from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.errors import NoPlan
 from edtorch.model.event_free import free_ticks
 from edtorch.model.lift import Lift
 from edtorch.model.stops import Stops
@@ -20,7 +22,7 @@ from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash
 from edtorch.rewards.lifted import lifted_row
 from edtorch.search.choice import futures_of
-from edtorch.search.evolution import evolve
+from edtorch.search.evolution import Evolution
 from edtorch.search.ground import NO_GROUND, fit_ground
 from edtorch.search.hybrid_fit import LearnedHybrid
 from edtorch.search.knowledge import Knowledge
@@ -33,14 +35,14 @@ from edtorch.types import Parameters
 
 @dataclass(frozen=True)
 class RunStage:
-    """generations of ``size`` policies, each tried from ``long`` starts for ``seconds`` and from
-    ``short`` starts for ``short_seconds``; friction: that the ground is held to have, None for any;
-    push: deviation of noise added to the actions, in parts of half their range; doubt: each start
-    has a model of its own, drawn from the posterior with its deviations times this; reading:
-    whether readings err."""
+    """At most ``generations``, until half of one scores ``enough``; each policy is tried from
+    ``long`` starts for ``seconds`` and from ``short`` starts for ``short_seconds``; friction: that
+    the ground is held to have, None for any; push: deviation of noise added to the actions, in
+    parts of half their range; doubt: each start has a model of its own, drawn from the posterior
+    with its deviations times this; reading: whether readings err."""
 
     generations: int
-    size: int
+    enough: float
     long: int
     seconds: float
     short: int
@@ -51,8 +53,12 @@ class RunStage:
     reading: bool
 
 
-ROUGH = RunStage(40, 24, 2, 3.0, 0, 0.0, None, 0.0, 0.0, False)
-FINE = RunStage(25, 16, 8, 5.0, 16, 2.0, 0.6, 0.05, 0.0, False)
+CHECKED, LASTING = 4, 0.97
+"""Times the runs of a generation; the share of them that is to last."""
+
+ROUGH = RunStage(40, 0.9, 2, 3.0, 0, 0.0, None, 0.0, 0.0, False)
+FINE = RunStage(40, 0.9, 3, 5.0, 13, 1.5, 0.6, 0.05, 0.0, False)
+FIRM = RunStage(20, 0.95, 3, 5.0, 13, 1.5, 0.6, 0.1, 0.0, False)
 
 
 @dataclass(frozen=True)
@@ -60,10 +66,16 @@ class PopulationSearch(RandomFirst):
     """A policy by a phase (``edtorch.policy.phase``), in imagined runs that begin at starts that
     were seen.
 
-    A run scores its strikes and the share of its time before it ended, per second of it; a policy
-    the mean of its runs and half the worst.  ``restarts`` searches of the stage ``rough`` begin at
-    the gait as it is told, one at the last policy if there is one; ``fine`` goes on from the best
-    of them, with deviations times ``narrow``.
+    A run scores the share of its time before it ended, or of ``cadence`` strikes per second where
+    it made fewer: a gait with quick steps that soon falls is not better than one that lasts.  A
+    policy scores the mean of its runs and half the worst, 1 at most.
+
+    A population of ``size`` goes through the stages ``rough``, ``fine`` and ``firm``, with other
+    starts and noise in every generation.  Its mean is the policy: where its neighbours walk, too,
+    it may walk in a world that differs from the model.  A population begins at the last policy,
+    with the gait's deviations times ``narrow``, or at the gait as it is told.  Where it does not
+    pass ``rough``, or too many runs of ``fine`` with its mean end early, another one begins at the
+    gait as it is told, ``attempts`` at most; the best mean is taken.
 
     The first trial is ``first_runs`` runs with parameters drawn by the gait's deviations and noise
     of deviation ``noise``, in parts of half the range; a later one ``later_runs`` runs.
@@ -77,14 +89,17 @@ class PopulationSearch(RandomFirst):
     first_runs: int = 40
     later_runs: int = 4
     noise: float = 0.2
-    restarts: int = 2
+    attempts: int = 3
+    size: int = 16
     narrow: float = 0.3
+    cadence: float = 1.0
     always: Sequence[Mapping[str, float]] = ()
     landed: Sequence[Mapping[str, float]] = ()
     forward: str | None = None
     up: str | None = None
     rough: RunStage = ROUGH
     fine: RunStage = FINE
+    firm: RunStage = FIRM
     substeps: int = 1
 
     models_strikes: ClassVar[bool] = True
@@ -96,10 +111,14 @@ class PopulationSearch(RandomFirst):
     def __post_init__(self) -> None:
         """Reject invalid settings."""
         super().__post_init__()
-        for name in ("first_runs", "later_runs", "restarts", "substeps"):
+        for name in ("first_runs", "later_runs", "attempts", "substeps"):
             value = getattr(self, name)
             if value < 1:
                 raise ValueError(f"{name}={value}: expected an integer >= 1")
+        if self.size < 2:
+            raise ValueError(f"size={self.size}: expected an integer >= 2")
+        if not self.cadence > 0:
+            raise ValueError(f"cadence={self.cadence}: expected a number > 0")
         if (self.forward is None) != (self.up is None):
             raise ValueError(
                 f"forward={self.forward}, up={self.up}: expected names of both or null for both"
@@ -109,6 +128,7 @@ class PopulationSearch(RandomFirst):
     def prior(self) -> str:
         """See ``RandomFirst``."""
         told = [f"the gait's phase {_words(self.gait.phase)}, its gains and where it begins"]
+        told += [f"{self.cadence:g} strikes/s"]
         told += [f"{_words(row)} > 0" for row in self.always]
         told += [f"after a strike {_words(row)} > 0" for row in self.landed]
         return "; ".join(told)
@@ -153,30 +173,25 @@ class PopulationSearch(RandomFirst):
             force = fit_ground(known.free.structure, calm, forces, problem.scale)
             ends = replace(ends, ground=force)
         policy = self._policy(problem)
-        told, deviation = (part.numpy() for part in policy.begun)
         generator = numpy_generator(seed, Purpose.PLAN, trial)
-        imagined = _Imagined(problem, learned, policy, ends, problem.starts(seed), generator)
-        beginnings = [told] * self.restarts
-        beginnings += [policy.vector(plan).numpy() for plan in knowledge.plans[:1]]
-        rough = [
-            evolve(
-                imagined.cost_of(self.rough),
-                *(beginning, deviation, 1.0 if beginning is told else self.narrow),
-                *(self.rough.generations, self.rough.size, _seed(generator)),
-            )
-            for beginning in beginnings
-        ]
-        cost = imagined.cost_of(self.fine)
-        begun = np.stack([each.vector for each in rough])
-        best = begun[int(cost(begun).argmin())]
-        found = evolve(
-            cost,
-            *(best, deviation, self.narrow, self.fine.generations, self.fine.size),
-            _seed(generator),
-        )
-        parameters = policy.of_vector(torch.from_numpy(found.vector))
-        runs = imagined.runs(found.vector[None], self.fine)
-        whole = (runs.ticks == imagined.lengths(self.fine)).mean()
+        imagined = _Imagined(problem, learned, policy, ends, problem.starts(seed), self.cadence)
+        told, deviation = (part.numpy() for part in policy.begun)
+        begins = [(policy.vector(plan).numpy(), self.narrow) for plan in knowledge.plans[:1]]
+        begins += [(told, 1.0)] * (self.attempts - len(begins))
+        found: list[_Found] = []
+        tried = 0
+        for begin, spread in begins:
+            population = Evolution(begin, deviation, spread, self.size, _seed(generator))
+            passed, generations = self._grown(population, imagined, generator)
+            tried += generations * self.size
+            if passed:
+                found.append(self._checked(population.mean, imagined, generator))
+                if found[-1].lasted >= LASTING:
+                    break
+        if not found:
+            raise NoPlan(f"no gait of {tried} lasts for {self.rough.seconds:g} s in imagination")
+        best = max(found, key=lambda each: each.score)
+        parameters = policy.of_vector(torch.from_numpy(best.vector))
         return Improvement(
             parameters,
             knowledge.with_plan(parameters),
@@ -185,11 +200,41 @@ class PopulationSearch(RandomFirst):
                 "free": float(learned.free),
                 "strikes": float(learned.strikes),
                 "force_error": float(ends.ground.error[1]),
-                "policies": float(found.tried + sum(each.tried for each in rough)),
-                "imagined_strikes": float(runs.strikes[0, : self.fine.long].mean()),
-                "imagined": float(whole),
-                "score": -found.cost,
+                "policies": float(tried),
+                "imagined_strikes": best.strikes,
+                "imagined": best.lasted,
+                "score": best.score,
             },
+        )
+
+    def _grown(
+        self, population: Evolution, imagined: _Imagined, generator: np.random.Generator
+    ) -> tuple[bool, int]:
+        """Through the stages: whether it passed ``rough``, and its generations."""
+        generations = 0
+        for stage in (self.rough, self.fine, self.firm):
+            half = -np.inf
+            for _ in range(stage.generations):
+                cost = partial(imagined.cost, stage=stage, seed=_seed(generator))
+                half = -np.median(population.generation(cost))
+                generations += 1
+                if half >= stage.enough:
+                    break
+            if stage is self.rough and half < stage.enough:
+                return False, generations
+        return True, generations
+
+    def _checked(
+        self, vector: np.ndarray, imagined: _Imagined, generator: np.random.Generator
+    ) -> _Found:
+        """In runs of ``fine``, more of them than those of a generation."""
+        stage = replace(self.fine, long=CHECKED * self.fine.long, short=CHECKED * self.fine.short)
+        runs = imagined.runs(vector[None], stage, _seed(generator))
+        return _Found(
+            vector,
+            score=float(imagined.score(runs, stage)[0]),
+            lasted=float((runs.ticks == imagined.lengths(stage)).mean()),
+            strikes=float(runs.strikes[0, : stage.long].mean()),
         )
 
     def _policy(self, problem: SearchProblem) -> PhasePolicy:
@@ -215,8 +260,19 @@ class PopulationSearch(RandomFirst):
         return problem.names.index(self.forward), problem.names.index(self.up)
 
 
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A policy ``[p]``, its score, the share of its runs that lasted, and the mean strikes of long
+    ones."""
+
+    vector: np.ndarray
+    score: float
+    lasted: float
+    strikes: float
+
+
 class _Imagined:
-    """Costs of policies in one model: the starts and the noise are the same for all of them."""
+    """Runs of policies in one model: starts and noise are the same for all of a generation."""
 
     def __init__(
         self,
@@ -225,21 +281,21 @@ class _Imagined:
         policy: PhasePolicy,
         ends: RunEnds,
         starts: Tensor,
-        generator: np.random.Generator,
+        cadence: float,
     ) -> None:
         assert problem.noise is not None
         self._learned, self._policy, self._ends = learned, policy, ends
         self._dt, self._half, self._noise = problem.dt, problem.half.numpy(), problem.noise
-        self._starts, self._seed = starts, _seed(generator)
+        self._starts, self._cadence = starts, cadence
 
     def lengths(self, stage: RunStage) -> np.ndarray:
         """Ticks ``[P]`` of the runs of a stage."""
         each = [(stage.seconds, stage.long), (stage.short_seconds, stage.short)]
         return np.repeat([round(s / self._dt) for s, _ in each], [count for _, count in each])
 
-    def runs(self, vectors: np.ndarray, stage: RunStage) -> PhaseRuns:
+    def runs(self, vectors: np.ndarray, stage: RunStage, seed: int) -> PhaseRuns:
         """Of policies ``[C, p]``."""
-        generator, length = np.random.default_rng(self._seed), self.lengths(stage)
+        generator, length = np.random.default_rng(seed), self.lengths(stage)
         futures = futures_of(
             self._learned.posterior,
             self._starts,
@@ -257,16 +313,14 @@ class _Imagined:
         model = self._learned.model
         return phase_runs(model, self._policy.form, vectors, futures, push, ends)
 
-    def cost_of(self, stage: RunStage) -> Any:
-        """A function of vectors ``[C, p]``: minus the score ``[C]``."""
-        length = self.lengths(stage)
+    def cost(self, vectors: np.ndarray, stage: RunStage, seed: int) -> np.ndarray:
+        """Minus the scores ``[C]`` of policies ``[C, p]``."""
+        return -self.score(self.runs(vectors, stage, seed), stage)
 
-        def cost(vectors: np.ndarray) -> np.ndarray:
-            runs = self.runs(vectors, stage)
-            score = (runs.strikes + runs.ticks / length) / (length * self._dt)
-            return -(score.mean(1) + 0.5 * score.min(1))
-
-        return cost
+    def score(self, runs: PhaseRuns, stage: RunStage) -> np.ndarray:
+        """``[C]``, of ``PopulationSearch``."""
+        share = runs.shares(self.lengths(stage), self._cadence * self._dt)
+        return (share.mean(1) + 0.5 * share.min(1)) / 1.5
 
 
 def _seed(generator: np.random.Generator) -> int:

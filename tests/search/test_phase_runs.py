@@ -11,7 +11,7 @@ from edtorch.policy.squash import Squash
 from edtorch.rewards.lifted import lifted_row
 from edtorch.search.ground import GroundForce
 from edtorch.search.imagination import Futures
-from edtorch.search.phase_runs import RunEnds, phase_runs
+from edtorch.search.phase_runs import PhaseRuns, RunEnds, phase_runs
 from edtorch.search.striking import struck_states
 from sims.tasks.walker import START
 from tests.search.test_striking import true_model
@@ -95,3 +95,9 @@ def test_a_run_ends_where_the_ground_does_not_hold() -> None:
         about = ends(ground=ground, friction=friction)
         runs = phase_runs(MODEL, POLICY.form, VECTORS[:1].numpy(), begun(), push, about)
         assert int(runs.ticks[0, 0]) == ticks
+
+
+def test_quick_steps_before_a_fall_are_no_better_than_slow_ones_that_last() -> None:
+    # Ten strikes and a fall after half of the time, five and none; one that stands.
+    runs = PhaseRuns(np.array([[100], [200], [200]]), np.array([[10], [5], [0]]))
+    assert runs.shares(np.array([200]), 0.02)[:, 0].tolist() == [0.5, 1.0, 0.25]

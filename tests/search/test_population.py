@@ -1,0 +1,74 @@
+"""The search for a gait in the walker's own model: its gaits walk in the simulator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from edtorch.app.build_planned import build_planned
+from edtorch.app.compose import compose
+from edtorch.errors import NoPlan
+from edtorch.model.evidence import Posterior
+from edtorch.native.evaluation import evaluate_policies
+from edtorch.search import population
+from edtorch.search.hybrid_fit import LearnedHybrid
+from edtorch.search.knowledge import Knowledge
+from edtorch.search.population import PopulationSearch
+from edtorch.search.problem import SearchProblem
+from edtorch.types import Transition
+from tests.search.test_striking import true_model
+from tests.walkers import true_ground
+
+pytest.importorskip("cmaes")
+
+
+@pytest.fixture(autouse=True)
+def ground(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(population, "fit_ground", lambda *_: true_ground())
+
+
+KNOWN = Knowledge(
+    readings=[torch.zeros(2, 13).double()],
+    actions=[torch.zeros(1, 4).double()],
+    valid=[torch.ones(1, dtype=torch.bool)],
+)
+"""A trial that nothing is learned from."""
+
+
+def built(*overrides: str) -> tuple[PopulationSearch, SearchProblem]:
+    setup = build_planned(compose(["experiment=walker", *overrides]))
+    assert isinstance(setup.search, PopulationSearch)
+    return setup.search, replace(setup.problem, hybrid=known)
+
+
+def known(transitions: Transition, substeps: int) -> LearnedHybrid:
+    model = true_model(substeps)
+    weight = torch.from_numpy(model.free.weight)
+    cov = torch.zeros(*weight.shape, weight.shape[1]).double()
+    return LearnedHybrid(model, Posterior(weight, cov, torch.zeros(len(weight))), 0, 0)
+
+
+@pytest.mark.oracle
+def test_no_gait_is_no_plan() -> None:
+    search, problem = built("search.rough.generations=1", "search.attempts=2")
+    with pytest.raises(NoPlan, match="no gait of 32 lasts for 3 s in imagination"):
+        search.improve(problem, KNOWN, 0, 1)
+
+
+@pytest.mark.long
+def test_a_gait_found_in_the_true_model_walks() -> None:
+    search, problem = built()
+    found = search.improve(problem, KNOWN, 0, 1)
+    assert found.figures["imagined"] > 0.9
+    again = replace(search, attempts=1).improve(problem, found.knowledge, 0, 2)
+    world = build_planned(compose(["experiment=walker"])).calm()
+    parameters = {
+        name: torch.stack([found.parameters[name], again.parameters[name]])
+        for name in found.parameters
+    }
+    actor, _ = search.actor(problem)
+    episodes = evaluate_policies(actor, parameters, world, [0, 0], 20)
+    walked = [sum(bool(each.success) for each in own) for own in episodes]
+    assert min(walked) > 16
