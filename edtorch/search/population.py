@@ -163,6 +163,9 @@ class PopulationSearch(RandomFirst):
         """See ``TrialSearch``."""
         assert problem.hybrid is not None and problem.noise is not None
         transitions = knowledge.transitions(problem.dt)
+        # The last tick of a run may be that of a fall, in which the simulator stops all motion.
+        last = torch.tensor([len(own) for own in knowledge.actions]).cumsum(0) - 1
+        transitions.valid[last] = False
         learned = problem.hybrid(transitions, self.substeps)
         ends, forces = self._ends(problem), self._forces(problem)
         if forces is not None:

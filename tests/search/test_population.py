@@ -57,6 +57,26 @@ def test_no_gait_is_no_plan() -> None:
         search.improve(problem, KNOWN, 0, 1)
 
 
+@pytest.mark.oracle
+def test_last_ticks_of_runs_are_not_learned_from() -> None:
+    learned: list[Transition] = []
+
+    def told(transitions: Transition, substeps: int) -> LearnedHybrid:
+        learned.append(transitions)
+        return known(transitions, substeps)
+
+    search, problem = built("search.rough.generations=1", "search.attempts=1")
+    knowledge = KNOWN
+    for ticks in (3, 2):
+        valid = torch.ones(ticks, dtype=torch.bool)
+        zeros = torch.zeros(ticks + 1, 13).double()
+        knowledge = knowledge.with_trial(zeros, zeros[1:, :4], valid)
+    with pytest.raises(NoPlan):
+        search.improve(replace(problem, hybrid=told), knowledge, 0, 1)
+    assert learned[0].valid.tolist() == [False, True, True, False, True, False]
+    assert all(bool(own.all()) for own in knowledge.valid)
+
+
 @pytest.mark.long
 def test_a_gait_found_in_the_true_model_walks() -> None:
     search, problem = built()
