@@ -19,8 +19,9 @@ from torch import Tensor
 
 from edtorch.law import Arrays, Law
 from edtorch.linalg import matvec
-from edtorch.policy.bounded import BoundedPolicy
+from edtorch.model.told import Told
 from edtorch.policy.squash import Squash
+from edtorch.policy.vector import VectorPolicy
 from edtorch.types import Parameters
 
 
@@ -78,6 +79,16 @@ class PhaseGait:
         """The joints."""
         return {name: Followed(**node) for name, node in self.joints.items()}
 
+    @property
+    def words(self) -> str:
+        """See ``Gait``."""
+        told = " + ".join(f"{value:g} {name}" for name, value in self.phase.items())
+        return f"the gait's phase {told}, its gains and where it begins"
+
+    def policy(self, told: Told, squash: Squash) -> PhasePolicy:
+        """See ``Gait``."""
+        return PhasePolicy(self, told.names, told.unit, told.rate, told.actions, squash)
+
 
 @dataclass(frozen=True, eq=False)
 class PhaseForm:
@@ -107,7 +118,7 @@ class PhaseForm:
 
 
 @final
-class PhasePolicy(BoundedPolicy):
+class PhasePolicy(VectorPolicy):
     """z = drive (stiffness (target - joint) - damping rate of the joint), where joints, phase are
     linear in the positions; target = sum_k binomial_k tau^k (1 - tau)^(d - k) point_k + feedback
     times the rate of the phase variable; tau = (phase variable - start) / width, within [0, 1].
@@ -121,7 +132,6 @@ class PhasePolicy(BoundedPolicy):
     """
 
     kernel = "phase"
-    """What compiles it (``edtorch.native``)."""
 
     def __init__(
         self,
@@ -141,7 +151,6 @@ class PhasePolicy(BoundedPolicy):
         for own, joint in zip(place, gait.followed.values(), strict=True):
             if joint.feedback is not None:
                 own[1], first = first, first + 1
-        self.size = first
 
         def rows(of: Mapping[str, float], where: str) -> tuple[np.ndarray, np.ndarray]:
             position, speed = np.zeros(len(names)), np.zeros(len(names))
@@ -178,9 +187,9 @@ class PhasePolicy(BoundedPolicy):
             drive=drive,
         )
 
-    @cached_property
+    @property
     def begun(self) -> tuple[Tensor, Tensor]:
-        """The vector to begin a search from, and the deviations of random ones, ``[p]``."""
+        """See ``VectorPolicy``."""
         gait, joints = self.gait, self.gait.followed.values()
         fed = [joint for joint in joints if joint.feedback is not None]
         middle = [gait.start, gait.width, *(p for j in joints for p in j.points)]
@@ -189,31 +198,18 @@ class PhasePolicy(BoundedPolicy):
         spread += [j.spread_feedback for j in fed]
         return torch.tensor(middle, dtype=torch.float64), torch.tensor(spread, dtype=torch.float64)
 
-    def vector(self, parameters: Parameters) -> Tensor:
-        """All of them, ``[B, p]``."""
-        return torch.cat([parameters[name] for name in self._sizes], dim=-1)
-
-    def of_vector(self, vector: Tensor) -> Parameters:
-        """The parameters of ``[B, p]``."""
-        parts = vector.split(list(self._sizes.values()), dim=-1)
-        return dict(zip(self._sizes, parts, strict=True))
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """See ``VectorPolicy``."""
+        return self.form.arrays
 
     @property
-    def _sizes(self) -> dict[str, int]:
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """See ``VectorPolicy``."""
         joints = self.gait.followed
         fed = sum(joint.feedback is not None for joint in joints.values())
-        points = {name: len(joint.points) for name, joint in joints.items()}
-        return {"phase": 2, **points, **({"feedback": fed} if fed else {})}
-
-    def initial(self, seeds: Sequence[int]) -> Parameters:
-        """Those to begin from, for each seed."""
-        return self.of_vector(self.begun[0].expand(len(seeds), -1).clone())
-
-    def random(self, count: int, spread: float, generator: np.random.Generator) -> Parameters:
-        """Normal about those to begin from; spread: of the deviations."""
-        middle, deviation = self.begun
-        normal = torch.from_numpy(generator.standard_normal((count, self.size)))
-        return self.of_vector(middle + spread * deviation * normal)
+        points = {name: (len(joint.points),) for name, joint in joints.items()}
+        return {"phase": (2,), **points, **({"feedback": (fed,)} if fed else {})}
 
     def raw(self, parameters: Parameters, state: Tensor, /) -> Tensor:
         """See ``BoundedPolicy``."""
@@ -238,7 +234,7 @@ class PhasePolicy(BoundedPolicy):
     def raw_law(self, parameters: Arrays) -> Law:
         """See ``BoundedPolicy``."""
         phase, joint, rate, gain, binomial, place, drive = self.form.arrays
-        vector = np.concatenate([parameters[name] for name in self._sizes])
+        vector = np.concatenate([parameters[name] for name in self.shapes])
         first, fed = place.astype(int).T
         up, counts = np.arange(binomial.shape[1]), (binomial > 0).sum(1, keepdims=True)
         down = np.maximum(counts - 1 - up, 0)

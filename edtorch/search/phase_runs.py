@@ -1,4 +1,4 @@
-"""Imagined runs of policies by a phase, each until it ends: how far, and how often something was
+"""Imagined runs of policies of one vector, each until it ends: how far, and how often something was
 struck."""
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edtorch.policy.phase import PhaseForm
+from edtorch.policy.vector import VectorPolicy
 from edtorch.search.ground import NO_GROUND, GroundForce
 from edtorch.search.imagination import Futures
 from edtorch.search.striking import StrikingModel
@@ -42,7 +42,7 @@ class PhaseRuns:
 
 def phase_runs(
     model: StrikingModel,
-    form: PhaseForm,
+    policy: VectorPolicy,
     vectors: np.ndarray,
     futures: Futures,
     push: np.ndarray,
@@ -60,10 +60,10 @@ def phase_runs(
         *(real(ends.always), real(ends.landed), real(ends.ground.weight)),
         *(whole(ends.ground.hinge, np.int64), float(ends.friction)),
     )
-    striking_kernels()["phase_runs"](
+    striking_kernels(policy.kernel)["phase_runs"](
         *(real(futures.start), real(push), real(futures.noise), real(vectors)),
         real(futures.weight),
-        *(parts, strike, model.free.bounds, tuple(map(real, form.arrays)), given),
+        *(parts, strike, model.free.bounds, tuple(map(real, policy.arrays)), given),
         *(ticks, strikes),
     )
     return PhaseRuns(ticks, strikes)

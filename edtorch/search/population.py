@@ -17,9 +17,9 @@ from edtorch.model.event_free import free_ticks
 from edtorch.model.lift import Lift
 from edtorch.model.stops import Stops
 from edtorch.policy.memory import EpisodeMemory
-from edtorch.policy.phase import PhaseGait, PhasePolicy
 from edtorch.policy.policies import Policy
 from edtorch.policy.squash import Squash
+from edtorch.policy.vector import Gait, VectorPolicy
 from edtorch.rewards.lifted import lifted_row
 from edtorch.search.choice import futures_of
 from edtorch.search.evolution import Evolution
@@ -63,8 +63,8 @@ FIRM = RunStage(20, 0.95, 3, 5.0, 13, 1.5, 0.6, 0.1, 0.0, False)
 
 @dataclass(frozen=True)
 class PopulationSearch(RandomFirst):
-    """A policy by a phase (``edtorch.policy.phase``), in imagined runs that begin at starts that
-    were seen.
+    """A policy by a phase (``edtorch.policy.phase``), or another one of that kind, in imagined runs
+    that begin at starts that were seen.
 
     A run scores the share of its time before it ended, or of ``cadence`` strikes per second where
     it made fewer: a gait with quick steps that soon falls is not better than one that lasts.  A
@@ -85,7 +85,7 @@ class PopulationSearch(RandomFirst):
     read the force of the ground, of which both are learned; None: nothing slips.
     """
 
-    gait: PhaseGait = field(kw_only=True)
+    gait: Gait = field(kw_only=True)
     first_runs: int = 40
     later_runs: int = 4
     noise: float = 0.2
@@ -127,8 +127,7 @@ class PopulationSearch(RandomFirst):
     @property
     def prior(self) -> str:
         """See ``RandomFirst``."""
-        told = [f"the gait's phase {_words(self.gait.phase)}, its gains and where it begins"]
-        told += [f"{self.cadence:g} strikes/s"]
+        told = [self.gait.words, f"{self.cadence:g} strikes/s"]
         told += [f"{_words(row)} > 0" for row in self.always]
         told += [f"after a strike {_words(row)} > 0" for row in self.landed]
         return "; ".join(told)
@@ -240,9 +239,8 @@ class PopulationSearch(RandomFirst):
             strikes=float(runs.strikes[0, : stage.long].mean()),
         )
 
-    def _policy(self, problem: SearchProblem) -> PhasePolicy:
-        told, squash = problem.told, Squash(problem.middle, problem.half)
-        return PhasePolicy(self.gait, told.names, told.unit, told.rate, told.actions, squash)
+    def _policy(self, problem: SearchProblem) -> VectorPolicy:
+        return self.gait.policy(problem.told, Squash(problem.middle, problem.half))
 
     def _ends(self, problem: SearchProblem) -> RunEnds:
         lift = Lift.of(problem.told)
@@ -281,7 +279,7 @@ class _Imagined:
         self,
         problem: SearchProblem,
         learned: LearnedHybrid,
-        policy: PhasePolicy,
+        policy: VectorPolicy,
         ends: RunEnds,
         starts: Tensor,
         cadence: float,
@@ -314,7 +312,7 @@ class _Imagined:
         friction = np.inf if stage.friction is None else stage.friction
         ends = replace(self._ends, friction=friction)
         model = self._learned.model
-        return phase_runs(model, self._policy.form, vectors, futures, push, ends)
+        return phase_runs(model, self._policy, vectors, futures, push, ends)
 
     def cost(self, vectors: np.ndarray, stage: RunStage, seed: int) -> np.ndarray:
         """Minus the scores ``[C]`` of policies ``[C, p]``."""

@@ -23,18 +23,20 @@ _TEXTS = (
     "stops.py",
     "tick.py",
     "strikes.py",
-    "phase.py",
     "phase_runs.py",
 )
+_TWO = np.zeros((1, 1))
+_FORMS: Mapping[str, tuple[np.ndarray, ...]] = {"phase": (_TWO,) * 7, "linear": (np.zeros(1),)}
+"""Of each policy's kernel (``edtorch.policy.vector``), what it is given beside the vector."""
 
 
-def _entries() -> dict[str, tuple[object, ...]]:
+def _entries(policy: str) -> dict[str, tuple[object, ...]]:
     """Arguments of the kinds that the kernels are given."""
-    one, two, three = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))
+    one, two, three = np.zeros(1), _TWO, np.zeros((1, 1, 1))
     four = np.zeros((1, 1, 1, 1))
     index, pair, model = np.zeros(1, np.int64), np.zeros((1, 1), np.int64), MODEL_KIND
     strike = (one, index, one, pair, index, two)
-    form, ends = (two, two, two, two, two, two, two), (two, two, two, index, 0.1)
+    form, ends = _FORMS[policy], (two, two, two, index, 0.1)
     return {
         "phase_runs": (
             *(two, three, three, two, three, model, strike, (one, one), form, ends, pair, pair),
@@ -44,11 +46,13 @@ def _entries() -> dict[str, tuple[object, ...]]:
     }
 
 
-@lru_cache(maxsize=1)
-def striking_kernels() -> Mapping[str, Callable[..., Any]]:
-    """The kernels by name, compiled, or fetched from disk; errors as ``program.kernels``."""
-    texts = [(_FOLDER / name).read_text(encoding="utf-8") for name in _TEXTS]
+@lru_cache(maxsize=len(_FORMS))
+def striking_kernels(policy: str = "phase") -> Mapping[str, Callable[..., Any]]:
+    """The kernels by name, compiled, or fetched from disk, with runs of this kind of ``policy``;
+    errors as ``program.kernels``."""
+    names = (*_TEXTS, f"{policy}.py")
+    texts = [(_FOLDER / name).read_text(encoding="utf-8") for name in names]
     source = ModuleSource("\n".join(("import math\nimport numpy as np", *texts)), "", {})
-    entries = _entries()
+    entries = _entries(policy)
     found = load_kernel(source, entries, "models with strikes")
     return MappingProxyType(dict(zip(entries, found, strict=True)))

@@ -209,6 +209,16 @@ def test_every_policy_of_the_gradient_search_builds(policy: str) -> None:
             assert plain(node[key]) == known[f"search.{name}.{key}"]
 
 
+@pytest.mark.parametrize("gait", sorted(p.stem for p in (ROOT / "search/gait").iterdir()))
+def test_every_gait_of_the_population_builds(gait: str) -> None:
+    """What is written in the files is what is so by default."""
+    config = _compose("experiment=walker", f"search/gait={gait}")
+    assert all(len(p) == config.seeds for p in build_planned(config).initial.values())
+    written = flat({"search": {"gait": plain(config.search["gait"])}})
+    known = defaults({key: value for key, value in written.items() if key.endswith("_target_")})
+    assert all(known[key] == written[key] for key in known.keys() & written.keys())
+
+
 def test_every_option_is_known_here() -> None:
     """Groups in ``conf`` and in the schema are the same."""
     assert {group for group, _ in OPTIONS} == {*groups.GROUPS}

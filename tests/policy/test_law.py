@@ -15,6 +15,7 @@ from edtorch.policy.radial import RadialPolicy
 from edtorch.policy.squash import Squash
 from edtorch.types import Parameters
 from tests.policy.test_bounded import LIFT, PLACES
+from tests.policy.test_linear_gait import policy as straight
 from tests.policy.test_phase import policy as phase
 from tests.systems import f64, normal
 
@@ -29,6 +30,7 @@ CASES: dict[str, tuple[Policy, Parameters]] = {
     "radial": (RADIAL, RADIAL.initial([0])),
     "odd": (OddPolicy(RADIAL), RADIAL.initial([0])),
     "phase": (phase(), phase().initial([0])),
+    "linear gait": (straight(), straight().initial([0])),
     "linear": (LINEAR, LINEAR.initial([0])),
     "affine": (AFFINE, AFFINE.initial([0])),
     "limited": (AFFINE, {**AFFINE.initial([0]), "limit": torch.zeros(1, 4).double()}),

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from edtorch.policy.phase import PhaseGait, PhasePolicy
+from edtorch.policy.linear_gait import LinearGait
+from edtorch.policy.phase import PhaseGait
 from edtorch.policy.squash import Squash
+from edtorch.policy.vector import VectorPolicy
 from edtorch.rewards.lifted import lifted_row
 from edtorch.search.ground import GroundForce
 from edtorch.search.imagination import Futures
@@ -40,10 +42,8 @@ GAIT = PhaseGait(
         "torso": joint({"torso": 1.0}, "stance_hip", [0.05], -1.0),
     },
 )
-POLICY = PhasePolicy(
-    *(GAIT, TOLD.names, TOLD.unit, TOLD.rate, TOLD.actions),
-    Squash(torch.zeros(4).double(), torch.ones(4).double()),
-)
+SQUASH = Squash(torch.zeros(4).double(), torch.ones(4).double())
+POLICY, LINEAR = GAIT.policy(TOLD, SQUASH), LinearGait(GAIT).policy(TOLD, SQUASH)
 VECTORS = POLICY.vector(POLICY.random(2, 1.0, np.random.default_rng(1)))
 
 
@@ -60,17 +60,19 @@ def begun(count: int = 1) -> Futures:
     return Futures(weight, start, np.zeros((count, TICKS, 13)))
 
 
-def test_runs_are_ticks_of_the_model_under_the_policy() -> None:
+@pytest.mark.parametrize("policy", [POLICY, LINEAR], ids=["phase", "linear"])
+def test_runs_are_ticks_of_the_model_under_the_policy(policy: VectorPolicy) -> None:
+    vectors = policy.vector(policy.random(2, 1.0, np.random.default_rng(1)))
     push = np.zeros((1, TICKS, 4))
     push[:, :, 0] = 0.02
     futures = begun()
     futures.noise[:] = 1e-3 * np.random.default_rng(2).standard_normal(futures.noise.shape)
-    runs = phase_runs(MODEL, POLICY.form, VECTORS.numpy(), futures, push, ends())
+    runs = phase_runs(MODEL, policy, vectors.numpy(), futures, push, ends())
     for c in range(2):
-        state, parameters = futures.start, POLICY.of_vector(VECTORS[c : c + 1])
+        state, parameters = futures.start, policy.of_vector(vectors[c : c + 1])
         for t in range(int(runs.ticks[0 if c == 0 else 1, 0])):
             seen = torch.from_numpy(state + futures.noise[:, t])
-            action = POLICY.action(parameters, seen).numpy() + push[:, t]
+            action = policy.action(parameters, seen).numpy() + push[:, t]
             state = struck_states(MODEL, state, action.clip(-1, 1)[:, None])[:, 1]
         assert np.isfinite(state).all()
         assert runs.strikes[c, 0] == round(float(state[0, 10] * TOLD.unit[10]))
@@ -82,7 +84,7 @@ def test_a_run_ends_where_a_row_falls_below_zero_or_its_noise_ends() -> None:
     push[1, 7:] = np.nan
     # The virtual leg leans forward all the time.
     row = {"sin stance_shank": -1.0, "sin stance_thigh": -1.0, "constant": 0.3}
-    runs = phase_runs(MODEL, POLICY.form, VECTORS[:1].numpy(), begun(2), push, ends(row))
+    runs = phase_runs(MODEL, POLICY, VECTORS[:1].numpy(), begun(2), push, ends(row))
     assert 7 < runs.ticks[0, 0] < TICKS and runs.ticks[0, 1] == 7
 
 
@@ -93,7 +95,7 @@ def test_a_run_ends_where_the_ground_does_not_hold() -> None:
     for friction, ticks in ((0.51, TICKS), (0.49, 0)):
         ground = GroundForce(weight, hinge, np.zeros(2))
         about = ends(ground=ground, friction=friction)
-        runs = phase_runs(MODEL, POLICY.form, VECTORS[:1].numpy(), begun(), push, about)
+        runs = phase_runs(MODEL, POLICY, VECTORS[:1].numpy(), begun(), push, about)
         assert int(runs.ticks[0, 0]) == ticks
 
 

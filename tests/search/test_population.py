@@ -37,6 +37,10 @@ KNOWN = Knowledge(
 """A trial that nothing is learned from."""
 
 
+STAGE = ("generations=1", "enough=0")
+"""A stage that any population passes."""
+
+
 def built(*overrides: str) -> tuple[PopulationSearch, SearchProblem]:
     setup = build_planned(compose(["experiment=walker", *overrides]))
     assert isinstance(setup.search, PopulationSearch)
@@ -75,6 +79,25 @@ def test_last_ticks_of_runs_are_not_learned_from() -> None:
         search.improve(replace(problem, hybrid=told), knowledge, 0, 1)
     assert learned[0].valid.tolist() == [False, True, True, False, True, False]
     assert all(bool(own.all()) for own in knowledge.valid)
+
+
+@pytest.mark.oracle
+def test_a_policy_linear_in_the_state_is_searched_for_as_a_gait_is() -> None:
+    """At its beginning the search's vectors are those that its gait is told to have."""
+    stages = (f"search.{name}.{key}" for name in ("rough", "fine", "firm") for key in STAGE)
+    search, problem = built("search/gait=linear", "search.attempts=1", *stages)
+    policy, _ = search.actor(problem)
+    found = search.improve(problem, KNOWN, 0, 1)
+    first, drawn = policy.initial([0]), search.explored(problem, [0], 0).parameters
+    assert {name: p.shape for name, p in found.parameters.items()} == {
+        **{"gain": (4, 10), "constant": (4,)}
+    }
+    for name, own in found.parameters.items():
+        moved = (own - first[name][0]).abs()
+        assert 0 < moved.max() < 3 * (drawn[name] - first[name]).abs().max()
+    assert found.figures["policies"] == 3 * search.size
+    again = search.improve(problem, KNOWN, 0, 1)
+    assert all(torch.equal(own, again.parameters[name]) for name, own in found.parameters.items())
 
 
 @pytest.mark.long

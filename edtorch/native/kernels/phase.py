@@ -16,7 +16,7 @@ def act_by_phase(z, k, s, number, normal, t):
         number[PHASE_DRIVE : PHASE_DRIVE + M * J].reshape((M, J)),
     )
     raw = np.empty(M)
-    phase_raw(z[OBSERVATION : OBSERVATION + N], z[THETA : THETA + OWN], form, raw)
+    gait_raw(z[OBSERVATION : OBSERVATION + N], z[THETA : THETA + OWN], form, raw)
     for i in range(M):
         x = number[PHASE_MIDDLE + i] + number[PHASE_HALF + i] * math.tanh(raw[i])
         if CLIPS:

@@ -2,7 +2,7 @@
 
 
 @outer
-def phase_raw(seen, vector, form, raw):
+def gait_raw(seen, vector, form, raw):
     """Of a reading [n], with the parameters [p] in one vector."""
     phase, joint, rate, gain, binomial, place, drive = form
     n, most = len(seen), binomial.shape[1]

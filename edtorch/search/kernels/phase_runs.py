@@ -1,9 +1,9 @@
-"""Runs of policies by a phase in a model with stops and strikes, each until it ends.
+"""Runs of policies in a model with stops and strikes, each until it ends.
 
-ends: tuple (always [K, A], landed [R, A], ground [2, 4 J + 1], hinge [J], friction): rows of the
-lift that must stay above zero, all the time and after a strike; weights of the ground's forces,
-forward and up, by ``ground_features`` of the angles ``hinge``, nothing where there is none; the
-greatest ratio of the two.
+form: what the policy's ``gait_raw`` is given.  ends: tuple (always [K, A], landed [R, A],
+ground [2, 4 J + 1], hinge [J], friction): rows of the lift that must stay above zero, all the time
+and after a strike; weights of the ground's forces, forward and up, by ``ground_features`` of the
+angles ``hinge``, nothing where there is none; the greatest ratio of the two.
 """
 
 
@@ -68,7 +68,7 @@ def phase_runs(
                     break
                 for i in range(n):
                     seen[i] = x[i] + error[p, t, i]
-                phase_raw(seen, theta[c], form, raw)
+                gait_raw(seen, theta[c], form, raw)
                 for j in range(m):
                     action = middle[j] + half[j] * math.tanh(raw[j]) + push[p, t, j]
                     x[n + j] = min(max(action, middle[j] - half[j]), middle[j] + half[j])
