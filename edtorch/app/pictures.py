@@ -69,6 +69,8 @@ def _headline(training: Training, shown: _Shown) -> Trace:
 
 TASKS = 8
 """So many an animation shows, one after the other."""
+SHOWN, MOST_FRAMES = 10.0, 20
+"""Seconds of an episode in an animation, and frames in each of them at most."""
 
 
 def draw_tasks(
@@ -123,7 +125,7 @@ def draw_policy(
     observer: EpisodeMemory | None = None,
 ) -> None:
     """If the sim can draw itself, write an animation of one policy ``[1, ...]`` in a fresh episode
-    in ``calm``."""
+    in ``calm``, of its first ``SHOWN`` seconds in real time."""
     if not isinstance(calm.sim, Pictured):
         return
     states: list[Tensor] = []
@@ -132,8 +134,10 @@ def draw_policy(
         watch=lambda now: states.append(now[0]),
         observer=observer,
     )
-    trail, path = torch.stack(states), folder / _animation(domain)
-    save_animation(calm.sim, trail, path, fps=round(1 / calm.dt))
+    stride = max(1, round(1 / (MOST_FRAMES * calm.dt)))
+    trail = torch.stack(states)[: round(SHOWN / calm.dt) : stride]
+    path = folder / _animation(domain)
+    save_animation(calm.sim, trail, path, slow=len(trail), fps=round(1 / (stride * calm.dt)))
 
 
 def _animation(domain: Domain) -> str:
