@@ -60,7 +60,9 @@ def begun(count: int = 1) -> Futures:
     return Futures(weight, start, np.zeros((count, TICKS, 13)))
 
 
-@pytest.mark.parametrize("policy", [POLICY, LINEAR], ids=["phase", "linear"])
+@pytest.mark.parametrize(
+    "policy", [POLICY, pytest.param(LINEAR, marks=pytest.mark.long)], ids=["phase", "linear"]
+)
 def test_runs_are_ticks_of_the_model_under_the_policy(policy: VectorPolicy) -> None:
     vectors = policy.vector(policy.random(2, 1.0, np.random.default_rng(1)))
     push = np.zeros((1, TICKS, 4))

@@ -81,6 +81,7 @@ def test_last_ticks_of_runs_are_not_learned_from() -> None:
     assert all(bool(own.all()) for own in knowledge.valid)
 
 
+@pytest.mark.long
 @pytest.mark.oracle
 def test_a_policy_linear_in_the_state_is_searched_for_as_a_gait_is() -> None:
     """At its beginning the search's vectors are those that its gait is told to have."""
