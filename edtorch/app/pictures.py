@@ -133,9 +133,10 @@ def draw_policy(
         *(actor, parameters, calm, seeds, 1),
         watch=lambda now: states.append(now[0]),
         observer=observer,
+        ticks=round(SHOWN / calm.dt),
     )
     stride = max(1, round(1 / (MOST_FRAMES * calm.dt)))
-    trail = torch.stack(states)[: round(SHOWN / calm.dt) : stride]
+    trail = torch.stack(states)[::stride]
     path = folder / _animation(domain)
     save_animation(calm.sim, trail, path, slow=len(trail), fps=round(1 / (stride * calm.dt)))
 

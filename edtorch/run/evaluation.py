@@ -39,6 +39,7 @@ def evaluate(
     observer: EpisodeMemory | None = None,
     among: Sequence[Episode] = (),
     purpose: Purpose = Purpose.EVALUATION,
+    ticks: int | None = None,
 ) -> list[list[Episode]]:
     """Run ``episodes`` fresh episodes of each policy, without exploration and without learning.
 
@@ -46,7 +47,8 @@ def evaluate(
     episode e of a seed is the same whatever else is evaluated beside it.  watch: see ``Watch``;
     observer: what the policies estimate the state with, None if they take what they observe for it;
     among: the other episodes of the run, see ``edtorch.run.success.all_settled``; purpose: of the
-    random numbers.  Lost episodes are left out.
+    random numbers; ticks: how many at most, None for no limit.  Episodes that are lost, or have not
+    ended by then, are left out.
     """
     most = getattr(world.sim, "rows_at_once", None)
     at_once = max(1, episodes if most is None else most // len(seeds))
@@ -55,7 +57,7 @@ def evaluate(
         numbers = range(first, min(first + at_once, episodes))
         expanded = {k: p.repeat_interleave(len(numbers), dim=0) for k, p in parameters.items()}
         tick = Tick(Frozen(policy, expanded, observer), world, most_episodes=1)
-        for own, more in zip(found, _run(tick, seeds, numbers, watch, purpose), strict=True):
+        for own, more in zip(found, _run(tick, seeds, numbers, watch, purpose, ticks), strict=True):
             own += more
     return all_settled(found, among)
 
@@ -133,6 +135,7 @@ def _run(
     numbers: range,
     watch: Watch | None,
     purpose: Purpose,
+    most: int | None = None,
 ) -> list[list[Episode]]:
     """The episodes ``numbers`` of each seed; whether they are a success may be open."""
     world, episodes = tick.world, len(numbers)
@@ -141,7 +144,7 @@ def _run(
     found: list[list[Episode]] = [[] for _ in seeds]
     with torch.inference_mode():
         start = starts(world, seeds, episodes, streams.at(0).uniform)
-        for happened in rollout(tick, tick.first({}, start), streams.at):
+        for happened in rollout(tick, tick.first({}, start), streams.at, ticks=most):
             after = happened.after
             if watch is not None:
                 watch(after.world)

@@ -50,6 +50,18 @@ def test_evaluation_is_fresh_reproducible_and_independent_of_its_company() -> No
     assert len(set(both[0])) > 1
 
 
+def test_only_the_first_ticks() -> None:
+    training = bicycle_training([0, 1], Budget(seconds=1.0))
+    policy, parameters = training.learner.policy, training.learners.policy
+    whole: list[Tensor] = []
+    begun: list[Tensor] = []
+    given = policy, parameters, World(DRAWN), [0, 1], 2
+    found = evaluate(*given, watch=whole.append)
+    assert evaluate(*given, watch=begun.append, ticks=5) == [[], []]
+    assert min(e.seconds for own in found for e in own) > 5 * DRAWN.spec.dt
+    assert len(begun) == 5 and all(map(torch.equal, begun, whole[:5]))
+
+
 def test_no_evaluation_at_all() -> None:
     training = bicycle_training([0, 1], Budget(seconds=1.0))
     policy, parameters = training.learner.policy, training.learners.policy
