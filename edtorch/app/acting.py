@@ -77,7 +77,8 @@ class LearnedPolicy:
         episodes side by side.  Raises ValueError for other shapes, and for what is not a finite
         number."""
         try:
-            given = np.array(observation, dtype=np.float64)
+            # A copy: the caller may write its next reading into the same array.
+            given = np.asarray(observation, dtype=np.float64).copy()
         except (TypeError, ValueError) as error:
             raise ValueError(f"observation={observation!r}: expected numbers") from error
         if given.ndim not in (1, 2):
