@@ -21,11 +21,11 @@ from edtorch.compiled import load_kernel
 from edtorch.errors import Unavailable
 from edtorch.learner.learner import Actor
 from edtorch.native.choice import Mode
-from edtorch.native.phase import add_phase
 from edtorch.native.plan import KernelPlan, NoKernel, add_policy, add_world, begun, place
 from edtorch.native.source import source_of
+from edtorch.native.vector import add_vector
 from edtorch.policy.memory import EpisodeMemory
-from edtorch.policy.phase import PhasePolicy
+from edtorch.policy.vector import VectorPolicy
 from edtorch.run import evaluation
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import starts
@@ -183,9 +183,10 @@ class Rides:
 def _plan(policy: Any, parameters: Parameters, world: World) -> KernelPlan:
     plan = begun(world)
     known = {"weight", "limit"}
-    if getattr(policy, "kernel", None) == PhasePolicy.kernel:
-        add_phase(plan, policy)
-        known = set(policy.initial([0]))
+    if isinstance(policy, VectorPolicy):
+        plan.constants["N"] = len(world.spec.state)
+        add_vector(plan, policy, len(world.spec.action))
+        known = set(policy.shapes)
     else:
         add_policy(plan, policy)
         plan.chosen["acts"] = "act"

@@ -49,11 +49,13 @@ class NoKernel(Exception):
 
 @dataclass
 class KernelPlan:
-    """constants: of the program, by name; chosen: names of its functions by role; numbers: what
-    kernels are given, by name; rows: the simulator, None for a world that is not compiled."""
+    """constants: of the program, by name; chosen: names of its functions by role; texts: functions
+    that belong to this program only; numbers: what kernels are given, by name; rows: the simulator,
+    None for a world that is not compiled."""
 
     constants: dict[str, int] = field(default_factory=dict)
     chosen: dict[str, str] = field(default_factory=dict)
+    texts: list[str] = field(default_factory=list)
     numbers: dict[str, Any] = field(default_factory=dict)
     rows: Rows | None = None
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-import edtorch.search.kernels
 import sims.rows
 from edtorch.compiled import ModuleSource
 from edtorch.native.fingerprint import fingerprint
@@ -19,10 +18,8 @@ from sims.base import Outcome
 FOLDER = Path(__file__).parent / "kernels"
 _TEXTS = (
     *("learn.py", "improve.py", "live.py", "ticks.py", "rides.py", "apart.py"),
-    *("hashing.py", "episodes.py", "sarsa.py", "phase.py"),
+    *("hashing.py", "episodes.py", "sarsa.py"),
 )
-_PLANNER = Path(edtorch.search.kernels.__file__).parent
-"""Where the text is of what planners' kernels compute, too."""
 _ROWS_BY = tuple(
     Path(sims.rows.__file__).with_name(name) for name in ("compiled_rows.py", "elementary.py")
 )
@@ -39,7 +36,7 @@ def source_of(
     """
     places, number = plan.number()
     c, rows = plan.constants, plan.rows
-    text = _module_text({**c, **places, "LANES": lanes}, plan.chosen)
+    text = _module_text(plan, {**c, **places, "LANES": lanes})
     if rows is None:
         return ModuleSource(text, "", {}), number, ()
     by = hashlib.sha256(b"".join(file.read_bytes() for file in _ROWS_BY)).hexdigest()
@@ -58,15 +55,14 @@ def source_of(
     return ModuleSource(text, key, parts), number, own.constants
 
 
-def _module_text(constants: Mapping[str, object], chosen: Mapping[str, str]) -> str:
-    """The text of a module: the kernels after ``constants``, and the names ``chosen`` of functions
-    among them."""
+def _module_text(plan: KernelPlan, constants: Mapping[str, object]) -> str:
+    """The text of a module: ``constants``, the kernels, and the plan's own texts and roles."""
     lines = ["import math", "import numpy as np"]
     lines += [f"{outcome.name} = {int(outcome)}" for outcome in Outcome]
     lines += [f"{name} = {value!r}" for name, value in sorted(constants.items())]
     lines += [(FOLDER / name).read_text(encoding="utf-8") for name in _TEXTS]
-    lines.append((_PLANNER / "phase.py").read_text(encoding="utf-8"))
-    lines += [f"{role} = {function}" for role, function in sorted(chosen.items())]
+    lines += plan.texts
+    lines += [f"{role} = {function}" for role, function in sorted(plan.chosen.items())]
     return "\n".join(lines) + "\n"
 
 

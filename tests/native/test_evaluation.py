@@ -14,9 +14,11 @@ from edtorch.model.told import Told
 from edtorch.native import evaluation
 from edtorch.native.evaluation import Mode, Rides, evaluate_policies
 from edtorch.native.plan import NoKernel
-from edtorch.policy.phase import PhaseGait, PhasePolicy
+from edtorch.policy.linear_gait import LinearGait
+from edtorch.policy.phase import PhaseGait
 from edtorch.policy.policies import LinearPolicy, SquashedPolicy
 from edtorch.policy.squash import Squash
+from edtorch.policy.vector import Gait
 from edtorch.rewards import QuadraticReward
 from edtorch.run.episodes import Episode
 from edtorch.run.random import Purpose
@@ -113,11 +115,12 @@ def test_compiled_episodes_are_the_same_episodes(
 
 @pytest.mark.long
 @pytest.mark.oracle
-def test_compiled_episodes_of_policies_by_a_phase_are_the_same() -> None:
+@pytest.mark.parametrize("kind", ["phase", "linear"])
+def test_compiled_episodes_of_policies_of_one_vector_are_the_same(kind: str) -> None:
     """With errors of the readings, which are compiled, too."""
     sim = Sensed(PendulumSwingUp(), {"angle": 0.01, "rate": 0.02})
     world, known = World(sim), Told.of(sim.spec)
-    gait = PhaseGait(
+    phase = PhaseGait(
         phase={"angle": 1.0},
         start=-1.0,
         width=3.0,
@@ -130,8 +133,8 @@ def test_compiled_episodes_of_policies_by_a_phase_are_the_same() -> None:
             }
         },
     )
-    squash = Squash(world.action_middle, world.action_half_range)
-    policy = PhasePolicy(gait, known.names, known.unit, known.rate, known.actions, squash)
+    gait: Gait = {"phase": phase, "linear": LinearGait(about=phase)}[kind]
+    policy = gait.policy(known, Squash(world.action_middle, world.action_half_range))
     parameters = policy.random(3, 1.0, np.random.default_rng(0))
     found = evaluate_policies(policy, parameters, world, SEEDS, 4, native="on")
     slow = evaluate_policies(policy, parameters, world, SEEDS, 4, native="off")
