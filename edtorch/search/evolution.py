@@ -4,20 +4,35 @@ the package cmaes: where gradients of a cost with events mislead."""
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from edtorch.errors import NoPlan, Unavailable
+from edtorch.search.vector_search import VectorCost
 
 
+@dataclass(frozen=True)
 class Evolution:
-    """A normal distribution of vectors ``[p]`` that moves to where a cost is low.
+    """Generations of ``size`` vectors."""
 
-    It begins about ``middle`` with ``spread`` times the deviations ``[p]``, and draws ``size``
-    vectors a generation.  Raises Unavailable without cmaes.
-    """
+    size: int = 16
+
+    def __post_init__(self) -> None:
+        """Reject invalid settings."""
+        if self.size < 2:
+            raise ValueError(f"size={self.size}: expected an integer >= 2")
+
+    def begun(
+        self, middle: np.ndarray, deviation: np.ndarray, spread: float, seed: int
+    ) -> Generations:
+        """See ``VectorSearch``.  Raises Unavailable without cmaes."""
+        return Generations(middle, deviation, spread, self.size, seed)
+
+
+class Generations:
+    """A normal distribution of vectors ``[p]`` that moves to where a cost is low."""
 
     def __init__(
         self, middle: np.ndarray, deviation: np.ndarray, spread: float, size: int, seed: int
@@ -32,9 +47,8 @@ class Evolution:
         """Of the distribution, ``[p]``."""
         return self._middle + self._deviation * self._strategy.mean
 
-    def generation(self, cost: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """The costs ``[size]`` of a generation, by a cost of vectors ``[C, p] -> [C]``, which may
-        be another one each time.
+    def improve(self, cost: VectorCost) -> np.ndarray:
+        """A generation; see ``BegunSearch``.
 
         A cost that is not finite counts as the worst of its generation.  Raises NoPlan where none
         is finite.

@@ -29,19 +29,20 @@ from edtorch.search.knowledge import Knowledge
 from edtorch.search.phase_runs import PhaseRuns, RunEnds, phase_runs
 from edtorch.search.problem import Explored, Improvement, Left, SearchProblem
 from edtorch.search.random_first import RandomFirst
+from edtorch.search.vector_search import BegunSearch, VectorSearch
 from edtorch.seeding import Purpose, numpy_generator
 from edtorch.types import Parameters
 
 
 @dataclass(frozen=True)
 class RunStage:
-    """At most ``generations``, until half of one scores ``enough``; each policy is tried from
+    """At most ``policies``, until half of a generation scores ``enough``; each policy is tried from
     ``long`` starts for ``seconds`` and from ``short`` starts for ``short_seconds``; friction: that
     the ground is held to have, None for any; push: deviation of noise added to the actions, in
     parts of half their range; doubt: each start has a model of its own, drawn from the posterior
     with its deviations times this; reading: whether readings err."""
 
-    generations: int
+    policies: int
     enough: float
     long: int
     seconds: float
@@ -56,9 +57,9 @@ class RunStage:
 CHECKED, LASTING = 4, 0.97
 """Times the runs of a generation; the share of them that is to last."""
 
-ROUGH = RunStage(40, 0.9, 2, 3.0, 0, 0.0, None, 0.0, 0.0, False)
-FINE = RunStage(40, 0.9, 3, 5.0, 13, 1.5, 0.6, 0.05, 0.0, False)
-FIRM = RunStage(20, 0.95, 3, 5.0, 13, 1.5, 0.6, 0.1, 0.0, False)
+ROUGH = RunStage(640, 0.9, 2, 3.0, 0, 0.0, None, 0.0, 0.0, False)
+FINE = RunStage(640, 0.9, 3, 5.0, 13, 1.5, 0.6, 0.05, 0.0, False)
+FIRM = RunStage(320, 0.95, 3, 5.0, 13, 1.5, 0.6, 0.1, 0.0, False)
 
 
 @dataclass(frozen=True)
@@ -70,9 +71,9 @@ class PopulationSearch(RandomFirst):
     it made fewer: a gait with quick steps that soon falls is not better than one that lasts.  A
     policy scores the mean of its runs and half the worst, 1 at most.
 
-    A population of ``size`` goes through the stages ``rough``, ``fine`` and ``firm``, with other
-    starts and noise in every generation.  Its mean is the policy: where its neighbours walk, too,
-    it may walk in a world that differs from the model.  A population begins at the last policy,
+    A population of the kind ``optimiser`` goes through the stages ``rough``, ``fine`` and ``firm``,
+    with other starts and noise in every generation.  Its mean is the policy: where its neighbours
+    walk, too, it may walk in a world that differs from the model.  It begins at the last policy,
     with the gait's deviations times ``narrow``, or at the gait as it is told.  Where it does not
     pass ``rough``, or too many runs of ``fine`` with its mean end early, another one begins at the
     gait as it is told, ``attempts`` at most; the best mean is taken.
@@ -90,7 +91,7 @@ class PopulationSearch(RandomFirst):
     later_runs: int = 4
     noise: float = 0.2
     attempts: int = 3
-    size: int = 16
+    optimiser: VectorSearch = field(default_factory=Evolution)
     narrow: float = 0.3
     cadence: float = 1.0
     always: Sequence[Mapping[str, float]] = ()
@@ -115,8 +116,6 @@ class PopulationSearch(RandomFirst):
             value = getattr(self, name)
             if value < 1:
                 raise ValueError(f"{name}={value}: expected an integer >= 1")
-        if self.size < 2:
-            raise ValueError(f"size={self.size}: expected an integer >= 2")
         if not self.cadence > 0:
             raise ValueError(f"cadence={self.cadence}: expected a number > 0")
         if (self.forward is None) != (self.up is None):
@@ -183,9 +182,9 @@ class PopulationSearch(RandomFirst):
         found: list[_Found] = []
         tried = 0
         for begin, spread in begins:
-            population = Evolution(begin, deviation, spread, self.size, _seed(generator))
-            passed, generations = self._grown(population, imagined, generator)
-            tried += generations * self.size
+            population = self.optimiser.begun(begin, deviation, spread, _seed(generator))
+            passed, policies = self._grown(population, imagined, generator)
+            tried += policies
             if passed:
                 found.append(self._checked(population.mean, imagined, generator))
                 if found[-1].lasted >= LASTING:
@@ -210,21 +209,19 @@ class PopulationSearch(RandomFirst):
         )
 
     def _grown(
-        self, population: Evolution, imagined: _Imagined, generator: np.random.Generator
+        self, population: BegunSearch, imagined: _Imagined, generator: np.random.Generator
     ) -> tuple[bool, int]:
-        """Through the stages: whether it passed ``rough``, and its generations."""
-        generations = 0
+        """Through the stages: whether it passed ``rough``, and how many policies were tried."""
+        tried = 0
         for stage in (self.rough, self.fine, self.firm):
-            half = -np.inf
-            for _ in range(stage.generations):
+            half, left = -np.inf, stage.policies
+            while left > 0 and half < stage.enough:
                 cost = partial(imagined.cost, stage=stage, seed=_seed(generator))
-                half = -np.median(population.generation(cost))
-                generations += 1
-                if half >= stage.enough:
-                    break
+                costs = population.improve(cost)
+                half, left, tried = -np.median(costs), left - len(costs), tried + len(costs)
             if stage is self.rough and half < stage.enough:
-                return False, generations
-        return True, generations
+                return False, tried
+        return True, tried
 
     def _checked(
         self, vector: np.ndarray, imagined: _Imagined, generator: np.random.Generator

@@ -209,12 +209,17 @@ def test_every_policy_of_the_gradient_search_builds(policy: str) -> None:
             assert plain(node[key]) == known[f"search.{name}.{key}"]
 
 
-@pytest.mark.parametrize("gait", sorted(p.stem for p in (ROOT / "search/gait").iterdir()))
-def test_every_gait_of_the_population_builds(gait: str) -> None:
+PARTS = sorted(
+    (part, path.stem) for part in ("gait", "optimiser") for path in ROOT.glob(f"search/{part}/*")
+)
+
+
+@pytest.mark.parametrize("part, option", PARTS)
+def test_every_part_of_the_population_builds(part: str, option: str) -> None:
     """What is written in the files is what is so by default."""
-    config = _compose("experiment=walker", f"search/gait={gait}")
+    config = _compose("experiment=walker", f"search/{part}={option}")
     assert all(len(p) == config.seeds for p in build_planned(config).initial.values())
-    written = flat({"search": {"gait": plain(config.search["gait"])}})
+    written = flat({"search": {part: plain(config.search[part])}})
     known = defaults({key: value for key, value in written.items() if key.endswith("_target_")})
     assert all(known[key] == written[key] for key in known.keys() & written.keys())
 

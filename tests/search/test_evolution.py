@@ -22,9 +22,9 @@ def bowl(vectors: np.ndarray) -> np.ndarray:
 
 
 def evolved(seed: int, cost: Callable[[np.ndarray], np.ndarray] = bowl) -> np.ndarray:
-    evolution = Evolution(MIDDLE, DEVIATION, 1.0, 10, seed)
+    evolution = Evolution(10).begun(MIDDLE, DEVIATION, 1.0, seed)
     for _ in range(60):
-        evolution.generation(cost)
+        evolution.improve(cost)
     return evolution.mean
 
 
@@ -43,7 +43,7 @@ def test_costs_that_are_not_finite_are_the_worst() -> None:
         return np.where(vectors[:, 0] > 2.5, np.nan, bowl(vectors))
 
     assert evolved(3, broken) == pytest.approx(BEST, abs=1e-2)
-    costs = Evolution(MIDDLE, DEVIATION, 1.0, 10, 3).generation(broken)
+    costs = Evolution(10).begun(MIDDLE, DEVIATION, 1.0, 3).improve(broken)
     assert costs.shape == (10,) and 0 < np.isnan(costs).sum() < 10
     with pytest.raises(NoPlan, match="none of 10 vectors has a finite cost"):
         evolved(0, lambda x: np.full(len(x), np.inf))

@@ -37,7 +37,7 @@ KNOWN = Knowledge(
 """A trial that nothing is learned from."""
 
 
-STAGE = ("generations=1", "enough=0")
+STAGE = ("policies=1", "enough=0")
 """A stage that any population passes."""
 
 
@@ -56,7 +56,7 @@ def known(transitions: Transition, substeps: int) -> LearnedHybrid:
 
 @pytest.mark.oracle
 def test_no_gait_is_no_plan() -> None:
-    search, problem = built("search.rough.generations=1", "search.attempts=2")
+    search, problem = built("search.rough.policies=1", "search.attempts=2")
     with pytest.raises(NoPlan, match="no gait of 32 lasts for 3 s in imagination"):
         search.improve(problem, KNOWN, 0, 1)
 
@@ -69,7 +69,7 @@ def test_last_ticks_of_runs_are_not_learned_from() -> None:
         learned.append(transitions)
         return known(transitions, substeps)
 
-    search, problem = built("search.rough.generations=1", "search.attempts=1")
+    search, problem = built("search.rough.policies=1", "search.attempts=1")
     knowledge = KNOWN
     for ticks in (3, 2):
         valid = torch.ones(ticks, dtype=torch.bool)
@@ -96,7 +96,7 @@ def test_a_policy_linear_in_the_state_is_searched_for_as_a_gait_is() -> None:
     for name, own in found.parameters.items():
         moved = (own - first[name][0]).abs()
         assert 0 < moved.max() < 3 * (drawn[name] - first[name]).abs().max()
-    assert found.figures["policies"] == 3 * search.size
+    assert found.figures["policies"] == 3 * 16
     again = search.improve(problem, KNOWN, 0, 1)
     assert all(torch.equal(own, again.parameters[name]) for name, own in found.parameters.items())
 
