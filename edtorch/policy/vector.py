@@ -25,7 +25,7 @@ class VectorPolicy(BoundedPolicy):
     @property
     @abstractmethod
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """What the kernel is given beside the vector."""
+        """What the kernel is given beside the vector; its place says how many dimensions it has."""
 
     @property
     @abstractmethod

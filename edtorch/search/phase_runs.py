@@ -11,7 +11,7 @@ from edtorch.policy.vector import VectorPolicy
 from edtorch.search.ground import NO_GROUND, GroundForce
 from edtorch.search.imagination import Futures
 from edtorch.search.striking import StrikingModel
-from edtorch.search.striking_program import striking_kernels
+from edtorch.search.striking_program import run_kernel
 from edtorch.search.tick_model import real, whole
 
 
@@ -60,10 +60,11 @@ def phase_runs(
         *(real(ends.always), real(ends.landed), real(ends.ground.weight)),
         *(whole(ends.ground.hinge, np.int64), float(ends.friction)),
     )
-    striking_kernels(policy.kernel)["phase_runs"](
+    form = tuple(map(real, policy.arrays))
+    run_kernel(policy.kernel, tuple(part.ndim for part in form))(
         *(real(futures.start), real(push), real(futures.noise), real(vectors)),
         real(futures.weight),
-        *(parts, strike, model.free.bounds, tuple(map(real, policy.arrays)), given),
+        *(parts, strike, model.free.bounds, form, given),
         *(ticks, strikes),
     )
     return PhaseRuns(ticks, strikes)

@@ -17,42 +17,35 @@ from edtorch.compiled import ModuleSource, load_kernel
 from edtorch.search.tick_model import MODEL_KIND
 
 _FOLDER = Path(__file__).parent / "kernels"
-_TEXTS = (
-    "names.py",
-    "mechanism.py",
-    "stops.py",
-    "tick.py",
-    "strikes.py",
-    "phase_runs.py",
-)
-_TWO = np.zeros((1, 1))
-_FORMS: Mapping[str, tuple[np.ndarray, ...]] = {"phase": (_TWO,) * 7, "linear": (np.zeros(1),)}
-"""Of each policy's kernel (``edtorch.policy.vector``), what it is given beside the vector."""
+_TEXTS = ("names.py", "mechanism.py", "stops.py", "tick.py", "strikes.py")
+_ONE, _TWO, _THREE, _FOUR = (np.zeros((1,) * dimensions) for dimensions in range(1, 5))
+_INDEX, _PAIR = np.zeros(1, np.int64), np.zeros((1, 1), np.int64)
+_STRIKE = (_ONE, _INDEX, _ONE, _PAIR, _INDEX, _TWO)
 
 
-def _entries(policy: str) -> dict[str, tuple[object, ...]]:
-    """Arguments of the kinds that the kernels are given."""
-    one, two, three = np.zeros(1), _TWO, np.zeros((1, 1, 1))
-    four = np.zeros((1, 1, 1, 1))
-    index, pair, model = np.zeros(1, np.int64), np.zeros((1, 1), np.int64), MODEL_KIND
-    strike = (one, index, one, pair, index, two)
-    form, ends = _FORMS[policy], (two, two, two, index, 0.1)
-    return {
-        "phase_runs": (
-            *(two, three, three, two, three, model, strike, (one, one), form, ends, pair, pair),
-        ),
-        "held_paths": (two, index, one, two, model, three),
-        "striking_rollouts": (three, four, three, model, strike, four),
+def _source(*more: str) -> ModuleSource:
+    texts = [(_FOLDER / name).read_text(encoding="utf-8") for name in (*_TEXTS, *more)]
+    return ModuleSource("\n".join(("import math\nimport numpy as np", *texts)), "", {})
+
+
+@lru_cache(maxsize=1)
+def striking_kernels() -> Mapping[str, Callable[..., Any]]:
+    """The kernels by name, compiled, or fetched from disk; errors as ``program.kernels``."""
+    entries: Mapping[str, tuple[object, ...]] = {
+        "held_paths": (_TWO, _INDEX, _ONE, _TWO, MODEL_KIND, _THREE),
+        "striking_rollouts": (_THREE, _FOUR, _THREE, MODEL_KIND, _STRIKE, _FOUR),
     }
-
-
-@lru_cache(maxsize=len(_FORMS))
-def striking_kernels(policy: str = "phase") -> Mapping[str, Callable[..., Any]]:
-    """The kernels by name, compiled, or fetched from disk, with runs of this kind of ``policy``;
-    errors as ``program.kernels``."""
-    names = (*_TEXTS, f"{policy}.py")
-    texts = [(_FOLDER / name).read_text(encoding="utf-8") for name in names]
-    source = ModuleSource("\n".join(("import math\nimport numpy as np", *texts)), "", {})
-    entries = _entries(policy)
-    found = load_kernel(source, entries, "models with strikes")
+    found = load_kernel(_source(), entries, "models with strikes")
     return MappingProxyType(dict(zip(entries, found, strict=True)))
+
+
+@lru_cache
+def run_kernel(policy: str, dimensions: tuple[int, ...]) -> Callable[..., Any]:
+    """The kernel ``phase_runs`` of a kind of policy, whose ``arrays``
+    (``edtorch.policy.vector``) have so many dimensions; errors as above."""
+    form = tuple(np.zeros((1,) * own) for own in dimensions)
+    ends = (_TWO, _TWO, _TWO, _INDEX, 0.1)
+    given = (_TWO, _THREE, _THREE, _TWO, _THREE, MODEL_KIND, _STRIKE, (_ONE, _ONE), form, ends)
+    entries = {"phase_runs": (*given, _PAIR, _PAIR)}
+    (found,) = load_kernel(_source("phase_runs.py", f"{policy}.py"), entries, "runs of policies")
+    return found
