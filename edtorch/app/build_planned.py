@@ -35,9 +35,7 @@ from edtorch.run.episodes import Budget
 from edtorch.run.policy_file import PolicyCard
 from edtorch.run.scaled_sim import World
 from edtorch.run.trial import look_at_starts
-from edtorch.search.evolution import cmaes_module
 from edtorch.search.hybrid_fit import LearnedHybrid, learn_hybrid
-from edtorch.search.ipopt import casadi_module
 from edtorch.search.problem import SearchProblem, TrialSearch
 from edtorch.search.target import wanted_states
 from edtorch.search.tick_model import TickModel
@@ -231,22 +229,10 @@ def _judge(world: World) -> Callable[[Tensor], Tensor] | None:
 def build_planned(config: Settings) -> PlannedSetup:
     """Objects for a search between trials.  Raises ConfigError, which names the key."""
     _check(config)
-    with under("search"):
-        try:
-            numba()
-        except Unavailable as error:
-            raise ConfigError(f"search={_name(config)}: its plans are compiled; {error}") from error
-        paths = config.search.get("programmed", 0)
-        try:
-            if paths:
-                casadi_module()
-        except Unavailable as error:
-            raise ConfigError(f"search.programmed={paths}: {error}") from error
-        try:
-            if "gait" in config.search:
-                cmaes_module()
-        except Unavailable as error:
-            raise ConfigError(f"search={_name(config)}: {error}") from error
+    try:
+        numba()
+    except Unavailable as error:
+        raise ConfigError(f"search={_name(config)}: its plans are compiled; {error}") from error
     sim = build_sim(config.domain)
     evaluated = changed_domain(config.domain, config.eval.domain, "eval.domain")
     reward = build_reward(config.reward, sim, torch.float64)
@@ -256,6 +242,11 @@ def build_planned(config: Settings) -> PlannedSetup:
 
     world = world_of(sim)
     search, problem, told = build_problem(config, world)
+    for setting, package in search.packages.items():
+        try:
+            package.module()
+        except Unavailable as error:
+            raise ConfigError(f"search.{setting}: {error}") from error
     stops, scale = build_stops(config, told), problem.scale.numpy()
     stopped = f"stops: {stops.words(scale)}" if stops else ""
     struck = "what a strike exchanges, and its height" if problem.hybrid else ""

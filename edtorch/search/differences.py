@@ -4,11 +4,13 @@ slopes of its mean over a width."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
 
 from edtorch.errors import NoPlan
+from edtorch.search.package import Package
 from edtorch.search.vector_search import VectorCost
 
 
@@ -20,6 +22,8 @@ class CentralDifferences:
 
     width: float = 0.3
     rate: float = 0.1
+
+    package: ClassVar[Package | None] = None
 
     def __post_init__(self) -> None:
         """Reject invalid settings."""

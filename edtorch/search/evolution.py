@@ -3,14 +3,16 @@ the package cmaes: where gradients of a cost with events mislead."""
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
-from edtorch.errors import NoPlan, Unavailable
+from edtorch.errors import NoPlan
+from edtorch.search.package import Package
 from edtorch.search.vector_search import VectorCost
+
+CMAES = Package("cmaes", "population")
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,8 @@ class Evolution:
     """Generations of ``size`` vectors."""
 
     size: int = 16
+
+    package: ClassVar[Package | None] = CMAES
 
     def __post_init__(self) -> None:
         """Reject invalid settings."""
@@ -38,7 +42,7 @@ class Generations:
         self, middle: np.ndarray, deviation: np.ndarray, spread: float, size: int, seed: int
     ) -> None:
         self._middle, self._deviation = middle, deviation
-        self._strategy = cmaes_module().CMA(
+        self._strategy = CMAES.module().CMA(
             mean=np.zeros(len(middle)), sigma=spread, seed=seed, population_size=size
         )
 
@@ -61,13 +65,3 @@ class Generations:
         ranked = np.where(finite, found, found[finite].max())
         self._strategy.tell(list(zip(drawn, ranked.tolist(), strict=True)))
         return found
-
-
-def cmaes_module() -> Any:
-    """The module cmaes.  Raises Unavailable where it is missing."""
-    try:
-        return importlib.import_module("cmaes")
-    except ImportError as error:
-        raise Unavailable(
-            f"cmaes cannot be imported ({error}): pip install 'edtorch[population]'"
-        ) from error

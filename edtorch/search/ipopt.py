@@ -3,17 +3,17 @@ Biegler 2006), for systems on which shooting gets stuck."""
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from edtorch.errors import Unavailable
+from edtorch.search.package import Package
 from edtorch.search.plan import Plan
 from edtorch.search.tick_model import TickModel, product_tree
 
+CASADI = Package("casadi", "plan")
 _LEAST = 1e-3
 """Weights smaller than this part of the largest of their row are left out of a path's model."""
 
@@ -35,7 +35,7 @@ def reach(
     horizon, m = line.raw.shape
     if not 1 <= ticks <= horizon:
         raise ValueError(f"ticks={ticks}: expected 1 to {horizon}, the horizon of the line")
-    casadi, n = casadi_module(), line.state.shape[1]
+    casadi, n = CASADI.module(), line.state.shape[1]
     state, push = casadi.MX.sym("state", n, ticks + 1), casadi.MX.sym("push", m, ticks)
     after = tick_function(casadi, coarse(model)).map(ticks)(state[:, :-1], push)
     change = push[:, 1:] - push[:, :-1]
@@ -90,16 +90,6 @@ def coarse(model: TickModel) -> TickModel:
     size = np.abs(model.weight)
     small = size < _LEAST * size.max(axis=1, keepdims=True)
     return replace(model, weight=np.where(small, 0.0, model.weight), substeps=1)
-
-
-def casadi_module() -> Any:
-    """The module casadi.  Raises Unavailable where it is missing."""
-    try:
-        return importlib.import_module("casadi")
-    except ImportError as error:
-        raise Unavailable(
-            f"casadi cannot be imported ({error}): pip install 'edtorch[plan]'"
-        ) from error
 
 
 def tick_function(casadi: Any, model: TickModel) -> Any:

@@ -18,9 +18,10 @@ from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.search.choice import PlanChoice, choose, futures_of
 from edtorch.search.execution import Execution
-from edtorch.search.ipopt import reach_each
+from edtorch.search.ipopt import CASADI, reach_each
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.noise_aware import noise_aware_gains
+from edtorch.search.package import Package
 from edtorch.search.plan import Cost, Plan, ramp
 from edtorch.search.problem import Improvement, Left, SearchProblem, ticks_of
 from edtorch.search.random_first import RandomFirst
@@ -100,6 +101,11 @@ class PlannedSearch(RandomFirst):
             value = getattr(self, name)
             if not value >= 0:
                 raise ValueError(f"{name}={value}: expected a number >= 0")
+
+    @property
+    def packages(self) -> Mapping[str, Package]:
+        """See ``RandomFirst``."""
+        return {f"programmed={self.programmed}": CASADI} if self.programmed else {}
 
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """See ``TrialSearch``."""

@@ -26,6 +26,7 @@ from edtorch.search.evolution import Evolution
 from edtorch.search.ground import NO_GROUND, fit_ground
 from edtorch.search.hybrid_fit import LearnedHybrid
 from edtorch.search.knowledge import Knowledge
+from edtorch.search.package import Package
 from edtorch.search.phase_runs import PhaseRuns, RunEnds, phase_runs
 from edtorch.search.problem import Explored, Improvement, Left, SearchProblem
 from edtorch.search.random_first import RandomFirst
@@ -130,6 +131,12 @@ class PopulationSearch(RandomFirst):
         told += [f"{_words(row)} > 0" for row in self.always]
         told += [f"after a strike {_words(row)} > 0" for row in self.landed]
         return "; ".join(told)
+
+    @property
+    def packages(self) -> Mapping[str, Package]:
+        """See ``RandomFirst``."""
+        package = self.optimiser.package
+        return {} if package is None else {"optimiser": package}
 
     def runs(self, number: int) -> int:
         """See ``RandomFirst``."""

@@ -16,6 +16,7 @@ from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
 from edtorch.search.hybrid_fit import LearnedHybrid
 from edtorch.search.knowledge import Knowledge
+from edtorch.search.package import Package
 from edtorch.search.tick_model import TickModel
 from edtorch.types import Parameters, Transition
 
@@ -150,6 +151,11 @@ class TrialSearch(Protocol):
     @property
     def prior(self) -> str:
         """Prior knowledge of the task beyond that of the state's components, in words."""
+        ...
+
+    @property
+    def packages(self) -> Mapping[str, Package]:
+        """Those that it needs, by the setting that needs them."""
         ...
 
     def runs(self, number: int) -> int:

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from edtorch.search.package import Package
 from edtorch.search.problem import Explored, SearchProblem
 
 
@@ -39,6 +40,11 @@ class RandomFirst:
     def prior(self) -> str:
         """Prior knowledge of the task beyond that of the state's components, in words."""
         return ""
+
+    @property
+    def packages(self) -> Mapping[str, Package]:
+        """Those that it needs, by the setting that needs them."""
+        return {}
 
     def runs(self, number: int) -> int:
         """How many runs the trial of this number has: one."""

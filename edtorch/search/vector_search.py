@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
+
+from edtorch.search.package import Package
 
 VectorCost = Callable[[np.ndarray], np.ndarray]
 """Costs ``[C]`` of vectors ``[C, p]``, those of one call under the same conditions."""
@@ -26,7 +28,9 @@ class BegunSearch(Protocol):
 
 
 class VectorSearch(Protocol):
-    """Its settings."""
+    """Its settings; package: that it needs, None for none."""
+
+    package: ClassVar[Package | None]
 
     def begun(
         self, middle: np.ndarray, deviation: np.ndarray, spread: float, seed: int

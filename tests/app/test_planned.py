@@ -318,6 +318,14 @@ def test_paths_by_ipopt_need_casadi(monkeypatch: pytest.MonkeyPatch) -> None:
         build_planned(compose([*SMALL, "search.programmed=2"]))
 
 
+def test_only_a_population_by_evolution_needs_cmaes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cmaes", None)
+    said = r"search\.optimiser: cmaes cannot be imported .*pip install 'edtorch\[population\]'"
+    with pytest.raises(ConfigError, match=said):
+        build_planned(compose(["experiment=walker"]))
+    build_planned(compose(["experiment=walker", "search/optimiser=differences"]))
+
+
 @pytest.mark.experiment
 def test_a_target_out_of_reach_is_said(command: Callable[..., Result]) -> None:
     """Half a second takes the pendulum nowhere."""
