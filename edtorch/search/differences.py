@@ -21,7 +21,7 @@ class CentralDifferences:
     of a step."""
 
     width: float = 0.3
-    rate: float = 0.1
+    rate: float = 0.3
 
     package: ClassVar[Package | None] = None
 

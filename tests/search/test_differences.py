@@ -29,7 +29,7 @@ def test_a_step_is_adam_s_along_the_exact_slope_of_a_quadratic() -> None:
 
 
 def test_the_minimum_is_found() -> None:
-    begun = CentralDifferences().begun(MIDDLE, DEVIATION, 1.0, 0)
+    begun = CentralDifferences(rate=0.1).begun(MIDDLE, DEVIATION, 1.0, 0)
     for _ in range(600):
         begun.improve(bowl)
     assert begun.mean == pytest.approx(BEST, abs=0.02)
@@ -40,7 +40,7 @@ def test_a_jump_within_the_width_has_a_slope_and_none_beyond() -> None:
         return np.where(vectors[:, 0] > 1.2, 0.0, 1.0)
 
     for width, moved in ((0.3, 0.1), (0.1, 0.0)):
-        begun = CentralDifferences(width).begun(MIDDLE, np.ones(3), 1.0, 0)
+        begun = CentralDifferences(width, rate=0.1).begun(MIDDLE, np.ones(3), 1.0, 0)
         begun.improve(fallen)
         assert begun.mean - MIDDLE == pytest.approx([moved, 0.0, 0.0], abs=1e-6)
 
@@ -49,7 +49,7 @@ def test_costs_that_are_not_finite_give_no_slope() -> None:
     def broken(vectors: np.ndarray) -> np.ndarray:
         return np.where(vectors[:, 1] > MIDDLE[1], np.nan, -vectors[:, 0])
 
-    begun = CentralDifferences().begun(MIDDLE, DEVIATION, 1.0, 0)
+    begun = CentralDifferences(rate=0.1).begun(MIDDLE, DEVIATION, 1.0, 0)
     assert np.isnan(begun.improve(broken)).sum() == 1
     assert begun.mean - MIDDLE == pytest.approx([0.1, 0.0, 0.0], abs=1e-6)
     with pytest.raises(NoPlan, match="none of 6 vectors has a finite cost"):
