@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from edtorch.learner.learner import Actor
+from edtorch.native.choice import Mode
+from edtorch.native.evaluation import evaluate_policies
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.report.animation import save_animation
 from edtorch.report.domain import Domain
@@ -122,15 +124,17 @@ def draw_policy(
     seeds: Sequence[int],
     domain: Domain,
     folder: Path,
-    observer: EpisodeMemory | None = None,
+    observer: EpisodeMemory | None,
+    native: Mode,
 ) -> None:
     """If the sim can draw itself, write an animation of one policy ``[1, ...]`` in a fresh episode
     in ``calm``, of its first ``SHOWN`` seconds in real time."""
     if not isinstance(calm.sim, Pictured):
         return
     states: list[Tensor] = []
-    evaluate(
+    evaluate_policies(
         *(actor, parameters, calm, seeds, 1),
+        native=native,
         watch=lambda now: states.append(now[0]),
         observer=observer,
         ticks=round(SHOWN / calm.dt),

@@ -283,7 +283,8 @@ class PlannedLearners(Work):
             own = {name: p[first : first + 1] for name, p in self._parameters.items()}
             seeds = self.seeds[first : first + 1]
             draw_policy(
-                self.actor, own, self._setup.calm(), seeds, self.domain, folder, self.observer
+                *(self.actor, own, self._setup.calm(), seeds, self.domain, folder),
+                *(self.observer, self._setup.native),
             )
         return figure
 

@@ -7,6 +7,7 @@ differ from the others by rounding.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -28,7 +29,7 @@ from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.vector import VectorPolicy
 from edtorch.run import evaluation
 from edtorch.run.episodes import Episode
-from edtorch.run.evaluation import starts
+from edtorch.run.evaluation import Watch, starts
 from edtorch.run.random import BLOCK, Purpose, draw_block, stream_key
 from edtorch.run.rollout import finished
 from edtorch.run.scaled_sim import World
@@ -52,9 +53,11 @@ def evaluate_policies(
     observer: EpisodeMemory | None = None,
     among: Sequence[Episode] = (),
     purpose: Purpose = Purpose.EVALUATION,
+    watch: Watch | None = None,
+    ticks: int | None = None,
 ) -> list[list[Episode]]:
     """As ``edtorch.run.evaluation.evaluate``; native: whether by kernels, by torch's number of
-    threads.
+    threads, or by one where somebody watches.
 
     With ``on``, raises NoKernel where a part has none, and Unavailable where nothing can be
     compiled.
@@ -62,7 +65,7 @@ def evaluate_policies(
     if native != "off":
         try:
             rides = Rides(policy, parameters, world, observer)
-            return all_settled(rides.run(seeds, episodes, purpose), among)
+            return all_settled(rides.run(seeds, episodes, purpose, watch, ticks), among)
         except (NoKernel, Unavailable) as error:
             if native == "on":
                 raise
@@ -77,6 +80,8 @@ def evaluate_policies(
         observer=observer,
         among=among,
         purpose=purpose,
+        watch=watch,
+        ticks=ticks,
     )
 
 
@@ -122,19 +127,28 @@ class Rides:
         ends = np.zeros((size, 2), dtype=np.int64)
         return np.zeros((size, self._kept)), counters, np.zeros(self._scratch), ends
 
-    def run(self, seeds: Sequence[int], episodes: int, purpose: Purpose) -> list[list[Episode]]:
-        """The episodes of each policy, in order; whether they are a success may be open."""
+    def run(
+        self,
+        seeds: Sequence[int],
+        episodes: int,
+        purpose: Purpose,
+        watch: Watch | None = None,
+        ticks: int | None = None,
+    ) -> list[list[Episode]]:
+        """The episodes of each policy, in order, of those that end within ``ticks``; whether they
+        are a success may be open."""
         size, threads = len(seeds) * episodes, torch.get_num_threads()
         found: list[list[Episode]] = [[] for _ in seeds]
         if not size:
             return found
-        share = min(TILE, -(-size // threads))
+        share = size if watch is not None else min(TILE, -(-size // threads))
         tiles = [range(first, min(first + share, size)) for first in range(0, size, share)]
 
         def ridden(rows: range) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
             own = [divmod(row, episodes) for row in rows]
             keys = [stream_key(seeds[seed], purpose, number) for seed, number in own]
-            return self._tile([seed for seed, _ in own], [seeds[seed] for seed, _ in own], keys)
+            policies, of = [seed for seed, _ in own], [seeds[seed] for seed, _ in own]
+            return self._tile(policies, of, keys, watch, ticks)
 
         with ThreadPoolExecutor(threads) as pool:
             try:
@@ -152,7 +166,12 @@ class Rides:
         return found
 
     def _tile(
-        self, policies: Sequence[int], seeds: Sequence[int], keys: Sequence[tuple[int, int]]
+        self,
+        policies: Sequence[int],
+        seeds: Sequence[int],
+        keys: Sequence[tuple[int, int]],
+        watch: Watch | None,
+        ticks: int | None,
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Start, final state, (ticks, outcome) and return of an episode for each key."""
         memory, rows, drawing = self._memory(len(keys)), np.arange(len(keys)), self._world.uniforms
@@ -168,16 +187,21 @@ class Rides:
             first = self._plan.constants[name]
             flat = values.detach().flatten(1).numpy()
             z[:, first : first + flat.shape[1]] = flat
-        clock = 0
-        while len(rows):
+        world, earned = (self._plan.constants[name] for name in ("WORLD", "EARNED"))
+        state, clock = z[:, world : world + start.shape[-1]], 0
+        last = math.inf if ticks is None else ticks
+        while len(rows) and clock < last:
             block, row = divmod(clock + 1, BLOCK)
             if block:
                 uniform, _ = draw_block([keys[own] for own in rows.tolist()], drawing, 0, block)
-            ahead = rows, row, clock, BLOCK - row
+            count = 1 if watch is not None else int(min(BLOCK - row, last - clock))
+            ahead = rows, row, clock, count
             self._rides(*memory, self._number, self._constants, uniform, *ahead)
-            rows, clock = rows[ends[rows, 1] == 0], clock + BLOCK - row
-        world, earned = (self._plan.constants[name] for name in ("WORLD", "EARNED"))
-        return start.numpy(), z[:, world : world + start.shape[-1]], ends, z[:, earned]
+            goes_on = ends[rows, 1] == 0
+            rows, uniform, clock = rows[goes_on], uniform[goes_on], clock + count
+            if watch is not None:
+                watch(torch.from_numpy(state.copy()))
+        return start.numpy(), state, ends, z[:, earned]
 
 
 def _plan(policy: Any, parameters: Parameters, world: World) -> KernelPlan:

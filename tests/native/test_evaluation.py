@@ -32,6 +32,7 @@ from sims.tasks.pendulum_swing_up import PendulumSwingUp
 from tests.systems import f64
 
 SEEDS = [3, 4, 8]
+MODES: tuple[Mode, Mode] = ("on", "off")
 
 
 def linear() -> tuple[LinearPolicy, Parameters, World]:
@@ -104,6 +105,18 @@ def test_compiled_episodes_are_the_same_episodes(
         torch.set_num_threads(1)
     assert told(apart) == told(found)
     assert torch.equal(figures(apart).nan_to_num(), figures(found).nan_to_num())
+
+    # Those who watch see the same, and what has not ended by then is left out.
+    seen: dict[str, list[torch.Tensor]] = {}
+    for native in MODES:
+        shown = seen[native] = []
+        own = evaluate_policies(
+            *(policy, parameters, world, SEEDS, 2), native=native, watch=shown.append, ticks=30
+        )
+        early = [[e for e in each[:2] if e.seconds <= 30.5 * world.dt] for each in wanted]
+        assert told(own) == told(early)
+    compiled, uncompiled = (torch.stack(seen[native]) for native in MODES)
+    torch.testing.assert_close(compiled, uncompiled, rtol=1e-9, atol=1e-9, equal_nan=True)
 
     # What is no number acts as it does elsewhere, and on nobody else.
     parameters["weight"][2] = math.nan
