@@ -35,7 +35,7 @@ from edtorch.run.evaluation import Frozen
 from edtorch.run.milestones import first_success
 from edtorch.run.random import Purpose
 from edtorch.run.tick import Source
-from edtorch.run.trial import Perturbed, RandomActions, Trial, run_trials
+from edtorch.run.trial import Trial, run_trials
 from edtorch.search.problem import Improvement
 from edtorch.types import Parameters
 
@@ -154,25 +154,12 @@ class PlannedLearners(Work):
                 source: Source[Any] = Frozen(self.actor, own, self.observer)
                 left = setup.search.left(setup.problem, own)
             else:
-                source = self._exploring(seeds, number)
+                source = setup.search.explored(setup.problem, seeds, number)
             trials = run_trials(source, world, seeds, number, ticks, left, runs)
             for place, row in enumerate(group):
                 own_runs = trials[place * runs : (place + 1) * runs]
                 found[row] = [trial for trial in own_runs if trial is not None]
         return [found[row] for row in rows]
-
-    def _exploring(self, seeds: Sequence[int], number: int) -> Source[Any]:
-        """What acts in the first trials."""
-        setup, search = self._setup, self._setup.search
-        explored = search.explored(setup.problem, seeds, number)
-        if explored is not None:
-            return Perturbed(self.actor, explored.parameters, explored.deviation)
-        hold = search.random_hold or self._world.dt
-        return RandomActions(
-            setup.problem.middle,
-            search.random_size * setup.problem.half,
-            max(1, round(hold / self._world.dt)),
-        )
 
     def _improved(
         self, rows: list[int], trials: list[list[Trial]], number: int

@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from edtorch.learner.learner import Actor
 from edtorch.run.episodes import Episode
 from edtorch.run.evaluation import starts
 from edtorch.run.random import Purpose, Streams, stream_key
@@ -17,64 +16,10 @@ from edtorch.run.rollout import finished, rollout
 from edtorch.run.scaled_sim import World
 from edtorch.run.tick import Source, Tick
 from edtorch.search.problem import Left
-from edtorch.types import Parameters, Transition
 from sims.base import Outcome
 
 _RUN = 16
 """Bits of the number of a trial: there are fewer than 2^16."""
-
-
-@dataclass(frozen=True)
-class RandomActions:
-    """A source of actions uniform within middle +- half ``[m]``, scaled (``edtorch.run.tick``),
-    each of which lasts for ``held`` ticks."""
-
-    middle: Tensor
-    half: Tensor
-    held: int = 1
-
-    def begin(self, memory: Parameters, fresh: Tensor, observation: Tensor, /) -> Parameters:
-        """As before: an action goes on over the end of an episode."""
-        return memory
-
-    def act(self, memory: Parameters, observation: Tensor, normal: Tensor, /) -> Tensor:
-        """Uniform, by the distribution function of the normal numbers."""
-        drawn = self.middle + self.half * torch.erf(normal / 2**0.5)
-        if not memory:
-            return drawn
-        fresh = memory["age"].remainder(self.held) == 0
-        return torch.where(fresh.unsqueeze(-1), drawn, memory["action"])
-
-    def step(
-        self, memory: Parameters, transition: Transition, /, *, improve: bool
-    ) -> tuple[Parameters, None]:
-        """The action is remembered; nothing is learned."""
-        age = memory["age"] + 1 if memory else torch.ones_like(transition.valid, dtype=torch.long)
-        return {"action": transition.action, "age": age}, None
-
-
-@dataclass(frozen=True)
-class Perturbed:
-    """A source of actions of a policy with noise, which learns nothing: parameters ``[B, ...]``;
-    deviation ``[m]``: of the noise, scaled."""
-
-    policy: Actor
-    parameters: Parameters
-    deviation: Tensor
-
-    def begin(self, memory: Parameters, fresh: Tensor, observation: Tensor, /) -> Parameters:
-        """Nothing is remembered."""
-        return memory
-
-    def act(self, memory: Parameters, observation: Tensor, normal: Tensor, /) -> Tensor:
-        """The policy's action and the noise."""
-        return self.policy.action(self.parameters, observation) + self.deviation * normal
-
-    def step(
-        self, memory: Parameters, transition: Transition, /, *, improve: bool
-    ) -> tuple[Parameters, None]:
-        """Nothing is learned."""
-        return memory, None
 
 
 @dataclass(frozen=True)

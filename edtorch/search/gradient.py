@@ -74,7 +74,7 @@ class GradientSearch(RandomFirst):
 
     @property
     def prior(self) -> str:
-        """See ``RandomFirst``."""
+        """See ``TrialLengths``."""
         return "the policy is odd" if self.odd else ""
 
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:

@@ -104,7 +104,7 @@ class PlannedSearch(RandomFirst):
 
     @property
     def packages(self) -> Mapping[str, Package]:
-        """See ``RandomFirst``."""
+        """See ``TrialLengths``."""
         return {f"programmed={self.programmed}": CASADI} if self.programmed else {}
 
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:

@@ -23,13 +23,14 @@ from edtorch.policy.vector import Gait, VectorPolicy
 from edtorch.rewards.lifted import lifted_row
 from edtorch.search.choice import futures_of
 from edtorch.search.evolution import Evolution
+from edtorch.search.exploring import Perturbed
 from edtorch.search.ground import NO_GROUND, fit_ground
 from edtorch.search.hybrid_fit import LearnedHybrid
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.package import Package
 from edtorch.search.phase_runs import PhaseRuns, RunEnds, phase_runs
-from edtorch.search.problem import Explored, Improvement, Left, SearchProblem
-from edtorch.search.random_first import RandomFirst
+from edtorch.search.problem import Improvement, Left, SearchProblem
+from edtorch.search.trial_lengths import TrialLengths
 from edtorch.search.vector_search import BegunSearch, VectorSearch
 from edtorch.seeding import Purpose, numpy_generator
 from edtorch.types import Parameters
@@ -64,7 +65,7 @@ FIRM = RunStage(320, 0.95, 3, 5.0, 13, 1.5, 0.6, 0.1, 0.0, False)
 
 
 @dataclass(frozen=True)
-class PopulationSearch(RandomFirst):
+class PopulationSearch(TrialLengths):
     """A policy by a phase (``edtorch.policy.phase``), or another one of that kind, in imagined runs
     that begin at starts that were seen.
 
@@ -126,7 +127,7 @@ class PopulationSearch(RandomFirst):
 
     @property
     def prior(self) -> str:
-        """See ``RandomFirst``."""
+        """See ``TrialLengths``."""
         told = [self.gait.words, f"{self.cadence:g} strikes/s"]
         told += [f"{_words(row)} > 0" for row in self.always]
         told += [f"after a strike {_words(row)} > 0" for row in self.landed]
@@ -134,21 +135,21 @@ class PopulationSearch(RandomFirst):
 
     @property
     def packages(self) -> Mapping[str, Package]:
-        """See ``RandomFirst``."""
+        """See ``TrialLengths``."""
         package = self.optimiser.package
         return {} if package is None else {"optimiser": package}
 
     def runs(self, number: int) -> int:
-        """See ``RandomFirst``."""
+        """See ``TrialLengths``."""
         return self.first_runs if number < self.random_trials else self.later_runs
 
-    def explored(self, problem: SearchProblem, seeds: Sequence[int], number: int) -> Explored:
-        """See ``RandomFirst``: about the gait as it is told."""
+    def explored(self, problem: SearchProblem, seeds: Sequence[int], number: int) -> Perturbed:
+        """See ``TrialSearch``: about the gait as it is told."""
         policy, runs = self._policy(problem), self.runs(number)
         generators = [numpy_generator(seed, Purpose.EXPLORING, number) for seed in seeds]
         drawn = [policy.random(runs, 1.0, generator) for generator in generators]
         parameters = {name: torch.cat([own[name] for own in drawn]) for name in drawn[0]}
-        return Explored(parameters, self.noise * problem.half)
+        return Perturbed(policy, parameters, self.noise * problem.half)
 
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """See ``TrialSearch``.  ValueError for a task without strikes, and for unknown names."""

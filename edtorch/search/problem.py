@@ -14,6 +14,7 @@ from edtorch.model.mechanism import Structure
 from edtorch.model.told import Told
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
+from edtorch.search.exploring import Perturbed, RandomActions
 from edtorch.search.hybrid_fit import LearnedHybrid
 from edtorch.search.knowledge import Knowledge
 from edtorch.search.package import Package
@@ -111,15 +112,6 @@ Left = Callable[[int, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
-class Explored:
-    """What is tried in the first trials: parameters ``[S runs, ...]``, those of a seed side by
-    side, and the standard deviations ``[m]`` of noise added to the actions, scaled."""
-
-    parameters: Parameters
-    deviation: Tensor
-
-
-@dataclass(frozen=True)
 class Improvement:
     """The result of learning from a trial: parameters of the policy, without a population axis; the
     knowledge with its plan; figures by name, for ``metrics.csv``; notes: lines for the user."""
@@ -133,18 +125,14 @@ class Improvement:
 class TrialSearch(Protocol):
     """A search that acts for a trial at a time.
 
-    trial: seconds of a trial, None: as long as an episode; random: of the first trials, with random
-    actions, None: as long as any; random_trials: how many there are; random_size: share of the
-    range of the actions that they use; random_hold: seconds for which each of these lasts, None: a
-    tick.  figures: names of those of an ``Improvement``; models_strikes: whether it takes a strike
-    that is told.
+    trial: seconds of a trial, None: as long as an episode; random: of the first trials, None: as
+    long as any; random_trials: how many there are.  figures: names of those of an ``Improvement``;
+    models_strikes: whether it takes a strike that is told.
     """
 
     trial: float | None
     random: float | None
     random_trials: int
-    random_size: float
-    random_hold: float | None
     figures: tuple[str, ...]
     models_strikes: bool
 
@@ -164,9 +152,9 @@ class TrialSearch(Protocol):
 
     def explored(
         self, problem: SearchProblem, seeds: Sequence[int], number: int
-    ) -> Explored | None:
-        """What is tried in the first trials, and by seeds without a policy; None: random
-        actions."""
+    ) -> RandomActions | Perturbed:
+        """What acts in the first trials, and for seeds without a policy: in each run of each seed,
+        those of a seed side by side."""
         ...
 
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:

@@ -41,7 +41,7 @@ class RegulatedSearch(RandomFirst):
 
     @property
     def prior(self) -> str:
-        """See ``RandomFirst``."""
+        """See ``TrialLengths``."""
         held = ", ".join(f"{name} {value:g}" for name, value in self.held.items())
         return f"held: {held}" if held else ""
 

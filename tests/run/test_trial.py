@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import pytest
 import torch
 from torch import Tensor
 
 from edtorch.run.scaled_sim import World
-from edtorch.run.trial import Perturbed, RandomActions, Trial, look_at_starts, run_trials
+from edtorch.run.trial import Trial, look_at_starts, run_trials
+from edtorch.search.exploring import Perturbed, RandomActions
 from edtorch.types import Parameters
 from sims.base import Outcome
 from sims.sensing import Sensed
@@ -50,6 +52,9 @@ def test_a_trial_may_have_several_runs() -> None:
 
 def test_noise_is_added_to_a_policy() -> None:
     class Still:
+        def initial(self, seeds: Sequence[int]) -> Parameters:
+            return parameters
+
         def action(self, parameters: Parameters, state: Tensor) -> Tensor:
             return parameters["push"]
 
