@@ -176,7 +176,7 @@ def _hybrid(
     return learn
 
 
-def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchProblem, Told]:
+def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchProblem]:
     """The search and its problem in a world.  Raises ConfigError, which names the key."""
     told = build_told(config, world)
     search = construct("search", config.search, "improve", "actor")
@@ -209,12 +209,13 @@ def build_problem(config: Settings, world: World) -> tuple[TrialSearch, SearchPr
         noise=noise,
         goal=wanted_states(first, rows, world.dt),
         told=told,
+        stops=stops,
         hybrid=_hybrid(
             *(build_strike(config, told), _jumps(config), search.models_strikes, stops),
             *(structures, told, world, noise),
         ),
     )
-    return search, problem, told
+    return search, problem
 
 
 def _judge(world: World) -> Callable[[Tensor], Tensor] | None:
@@ -241,15 +242,15 @@ def build_planned(config: Settings) -> PlannedSetup:
         return World(sim, torch.float64, None, None, reward, config.eval.success_return)
 
     world = world_of(sim)
-    search, problem, told = build_problem(config, world)
+    search, problem = build_problem(config, world)
     for setting, package in search.packages.items():
         try:
             package.module()
         except Unavailable as error:
             raise ConfigError(f"search.{setting}: {error}") from error
-    stops, scale = build_stops(config, told), problem.scale.numpy()
-    stopped = f"stops: {stops.words(scale)}" if stops else ""
-    struck = "what a strike exchanges, and its height" if problem.hybrid else ""
+    stops = f"stops: {problem.stops.words(problem.scale.numpy())}" if problem.stops else ""
+    strike = "what a strike exchanges, and its height" if problem.hybrid else ""
+    told = (problem.told.words, stops, strike, search.prior)
     seeds = [config.seed + k for k in range(config.seeds)]
     with under("search"):
         actor, _ = search.actor(problem)
@@ -268,7 +269,7 @@ def build_planned(config: Settings) -> PlannedSetup:
         trials=budget.episodes,
         initial=actor.initial(seeds),
         card=policy_card(sim, actor, seeds),
-        told="; ".join(part for part in (told.words, stopped, struck, search.prior) if part),
+        told="; ".join(part for part in told if part),
         episodes=config.eval.episodes,
         native=evaluation_mode(config),
         threads=config.compute.threads,

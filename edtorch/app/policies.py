@@ -83,7 +83,7 @@ def stored_policies(config: Settings, path: Path, world: World) -> Policies:
 
 def _of_search(config: Settings, path: Path, world: World) -> Policies:
     """Of a search between trials."""
-    search, problem, _ = build_problem(config, world)
+    search, problem = build_problem(config, world)
     actor, memory = search.actor(problem)
     seeds = [config.seed + k for k in range(config.seeds)]
     shapes = {name: tuple(p.shape[1:]) for name, p in actor.initial([0]).items()}

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from edtorch.model.batch_fit import LearnedModel
 from edtorch.model.mechanism import Structure
+from edtorch.model.stops import Stops
 from edtorch.model.told import Told
 from edtorch.policy.memory import EpisodeMemory
 from edtorch.policy.policies import Policy
@@ -33,8 +34,8 @@ class SearchProblem:
     readings ``[k, n]`` of starts; judge: of true states ``[*batch, H + 1, n]`` to whether the task
     is done, bool ``[*batch]``, None where the domain has no criterion; noise ``[n]``: standard
     deviations of readings where they are known; goal ``[H + 1, n]``: the target states of the rows;
-    told: of the components and actions; hybrid: a model with strikes from transitions, over ticks
-    of so many steps, None where no strike is told.
+    told: of the components and actions; stops: None where none are told; hybrid: a model with
+    strikes from transitions, over ticks of so many steps, None where no strike is told.
     """
 
     names: Sequence[str]
@@ -52,6 +53,7 @@ class SearchProblem:
     noise: Tensor | None
     goal: Tensor
     told: Told
+    stops: Stops | None = None
     hybrid: Callable[[Transition, int], LearnedHybrid] | None = None
 
     @property
