@@ -97,11 +97,7 @@ def draw_tasks(
             watch=states.append,
             observer=learner.observer,
         )
-        stride = max(1, round(0.1 / calm.dt))
-        # [T, TASKS, k]: one task after the other.
-        trail = torch.stack(states)[::stride].transpose(0, 1).flatten(0, 1)
-        path = folder / _animation(domain)
-        save_animation(calm.sim, trail, path, slow=len(trail), fps=10)
+        _animate(calm.sim, torch.stack(states), calm.dt, 10, folder / _animation(domain))
     return figure
 
 
@@ -135,14 +131,20 @@ def draw_policy(
     evaluate_policies(
         *(actor, parameters, calm, seeds, 1),
         native=native,
-        watch=lambda now: states.append(now[0]),
+        watch=states.append,
         observer=observer,
         ticks=round(SHOWN / calm.dt),
     )
-    stride = max(1, round(1 / (MOST_FRAMES * calm.dt)))
-    trail = torch.stack(states)[::stride]
     path = folder / _animation(domain)
-    save_animation(calm.sim, trail, path, slow=len(trail), fps=round(1 / (stride * calm.dt)))
+    _animate(calm.sim, torch.stack(states), calm.dt, MOST_FRAMES, path)
+
+
+def _animate(sim: Pictured, states: Tensor, dt: float, frames: int, path: Path) -> None:
+    """Write an animation in real time of episodes ``[T, B, k]``, ``dt`` s a tick, one after the
+    other, with at most so many frames a second."""
+    stride = max(1, round(1 / (frames * dt)))
+    trail = states[::stride].transpose(0, 1).flatten(0, 1)
+    save_animation(sim, trail, path, slow=len(trail), fps=round(1 / (stride * dt)))
 
 
 def _animation(domain: Domain) -> str:
