@@ -13,6 +13,7 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
+from hydra._internal.hydra import Hydra
 
 from edtorch.app import evaluate, import_, report, train
 from edtorch.app.signals import SIGNALS
@@ -32,6 +33,7 @@ QUICK = (
     "eval.episodes=1",
     "log.tensorboard=false",
     "log.figures=false",
+    "compute.native=off",
 )
 
 
@@ -57,6 +59,9 @@ def call(command: str, *arguments: str) -> Result:
     handlers = {number: signal.getsignal(number) for number in SIGNALS}
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(sys, "argv", [command, *arguments])
+        if not any("hydra.mode" in each for each in arguments):
+            # Hydra composes once more before, only to find this setting, which no file has.
+            patch.setattr(Hydra, "get_mode", lambda self, config_name, overrides: None)
         with pytest.raises(SystemExit) as left:
             MAINS[command]()
     for number, handler in handlers.items():
