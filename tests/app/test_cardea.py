@@ -40,11 +40,11 @@ FIGURES = {
 pytestmark = pytest.mark.experiment
 
 
-@pytest.fixture
-def run(command: Command, workplace: Path) -> Path:
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory, quick_command: Command) -> Path:
     """A short run of two learners."""
-    folder = workplace / "run"
-    result = command(
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    result = quick_command(
         "edtorch-train",
         *SHORT,
         "eval.minutes=[0.05]",
@@ -188,7 +188,7 @@ def test_learns_with_the_covariance(command: Command, workplace: Path, transform
         "edtorch-train",
         "experiment=cardea",
         "seeds=2",
-        "train.seconds=1",
+        "train.seconds=0.5",
         "eval.episodes=0",
         "log.figures=false",
         f"transform={transform}",

@@ -95,6 +95,7 @@ def learned(recorded: Path, quick_command: Command) -> Path:
 def test_tensorboard_has_the_settings(recorded: Path, quick_command: Command) -> None:
     folder = recorded.parent / "watched"
     given = (f"offline.data={recorded}", f"hydra.run.dir={folder}", "offline.steps=1")
+    given += ("compute.native=off", "eval.episodes=1", "log.figures=false")
     result = quick_command("edtorch-train", *LEARN, "log.tensorboard=true", *given)
     assert result.status == 0, result.err
     accumulator = EventAccumulator(str(folder))

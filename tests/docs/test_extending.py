@@ -15,7 +15,13 @@ from tests.app.conftest import call
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "extending.md"
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.M | re.S)
-SHORT = ("eval.episodes=1", "seeds=2", "log.tensorboard=false", "log.figures=false")
+SHORT = (
+    "eval.episodes=1",
+    "seeds=2",
+    "log.tensorboard=false",
+    "log.figures=false",
+    "compute.native=off",
+)
 
 
 @pytest.fixture

@@ -73,14 +73,6 @@ class Pendulum:
         return {}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A cache of this module's own: each kernel is compiled once."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("EDTORCH_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        yield
-
-
 def pendulums(seeds: list[int], recorder: Recorder | None = None) -> Training:
     world = World(Pendulum(), unwrap=0.5)
     learner = bicycle_learner(world, fit=SquaredError(0.5), horizon=10)

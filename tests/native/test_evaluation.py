@@ -60,14 +60,6 @@ def bicycle() -> tuple[LinearPolicy, Parameters, World]:
     )
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A cache of this module's own: each kernel is compiled once."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("EDTORCH_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        yield
-
-
 def told(episodes: Sequence[Sequence[Episode]]) -> list[tuple[object, ...]]:
     return [(e.row, e.number, e.seconds, e.outcome, e.success) for own in episodes for e in own]
 

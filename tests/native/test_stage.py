@@ -70,15 +70,6 @@ KINDS = {
 }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A cache of this module's own: each kernel is compiled once."""
-    folder = tmp_path_factory.mktemp("kernels")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("EDTORCH_CACHE", str(folder))
-        yield folder
-
-
 @pytest.mark.oracle
 @pytest.mark.parametrize(
     ("kind", "seeds", "least"),
@@ -134,7 +125,7 @@ def test_digits_do_not_depend_on_company_lanes_or_threads() -> None:
 
 @pytest.mark.oracle
 def test_learners_stop_with_their_budget_and_pieces_do_not_matter() -> None:
-    budget = (*PLAIN, "seeds=20", "train.seconds=null", "train.episodes=3")
+    budget = (*PAPER, "seeds=20", "train.seconds=null", "train.episodes=2")
     eager, whole = training_of(*budget), native(training_of(*budget))
     pieces = native(training_of(*budget))
     eager.advance(1000)
