@@ -139,7 +139,7 @@ def test_experiment_runs_three_episodes(name: str) -> None:
     if not name.startswith("cardea"):
         # For those who never fall.
         world = "domain.sim" if name in ("bicycle_sensors", "walker_paper") else "domain"
-        limits += (f"{world}.time_limit=4",)
+        limits += (f"{world}.time_limit=2",)
     setup = build(_compose(f"experiment={name}", *limits))
     training = Training(setup.learner, setup.world, setup.seeds, setup.budget)
     training.advance(10**6)

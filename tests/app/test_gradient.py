@@ -29,8 +29,8 @@ def test_gymnasiums_pendulum_is_held_up_after_seconds(tmp_path: Path) -> None:
 
 
 CHEAP = (
-    *("search=gradient", "search/improver=adam", "search.improver.steps=6", "search.restarts=2"),
-    *("search.draws=5", "search.horizon=2", "train.episodes=1", "eval.episodes=3"),
+    *("search=gradient", "search/improver=adam", "search.improver.steps=3", "search.restarts=2"),
+    *("search.draws=5", "search.horizon=1", "train.episodes=1", "eval.episodes=3"),
 )
 
 

@@ -16,7 +16,7 @@ SHORT = (
     "experiment=bicycle_squared",
     "seeds=3",
     "seed=3",
-    "train.seconds=9",
+    "train.seconds=7.5",
     "train.successes=null",
     "domain.time_limit=2.5",
     "eval.episodes=4",
@@ -63,7 +63,7 @@ def test_what_was_paid_until_then(folders: tuple[Path, Path]) -> None:
     with (folders[0] / "episodes.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     checkpoints = summary["checkpoints"]
-    times = [60 * m for m in MINUTES] + [9.0]
+    times = [60 * m for m in MINUTES] + [7.5]
     assert 1 <= len(checkpoints) <= len(times)
     for place, found in enumerate(checkpoints):
         for k, seed in enumerate(summary["seeds"]):
@@ -99,7 +99,7 @@ def test_milestones_are_the_first_checkpoints_that_are(folders: tuple[Path, Path
         ]
         if seed in stable["never"]:
             assert not first
-            assert stable["seconds"]["per_seed"][k] == pytest.approx(9)
+            assert stable["seconds"]["per_seed"][k] == pytest.approx(7.5)
         else:
             assert stable["seconds"]["per_seed"][k] == first[0]
     # Nobody is at a goal 1 km away in 2.5 s: all are censored, with all that they have paid.

@@ -17,7 +17,7 @@ def test_a_saved_policy_brings_what_it_estimates_the_state_with(
     command: Command, workplace: Path, quick: tuple[str, ...]
 ) -> None:
     folder = workplace / "run"
-    world = ("experiment=bicycle_sensors", "domain.sim.time_limit=5")
+    world = ("experiment=bicycle_sensors", "domain.sim.time_limit=3")
     result = command("edtorch-train", *world, *quick, f"hydra.run.dir={folder}")
     assert result.status == 0, result.err
     summary = json.loads((folder / "summary.json").read_text())

@@ -27,10 +27,10 @@ Command = Callable[..., Any]
 QUIET = ("log.figures=false", "log.checkpoint_wall=0", "log.every=1", "log.checkpoints=3")
 LINEAR = (
     *("domain=linear", "reward=quadratic", "+reward.state.state_0=1", "domain.dt=0.1"),
-    *("seeds=2", "train.seconds=60", "train.successes=null", "eval.episodes=2"),
+    *("seeds=2", "train.seconds=30", "train.successes=null", "eval.episodes=2"),
     *("compute.native=off", *QUIET),
 )
-BICYCLE = ("seeds=3", "train.seconds=12", "train.successes=null", "eval.episodes=1", *QUIET)
+BICYCLE = ("seeds=3", "train.seconds=9", "train.successes=null", "eval.episodes=1", *QUIET)
 PENDULUM = (
     *("experiment=regulation", "domain=gymnasium", "domain.env_id=Pendulum-v1", "domain.dt=0.05"),
     *("train.seconds=25", "seeds=2", "eval.episodes=1", "compute.native=off", *QUIET),
@@ -38,15 +38,16 @@ PENDULUM = (
 PLANNED = (
     *("experiment=pendulum_swingup", "seeds=2", "train.episodes=4", "eval.episodes=5"),
     *("+eval.solved.mean_return=1000", "search.starts=2", "search.draws=10", *QUIET),
+    *("domain.sim.time_limit=1", "domain.sim.hold_from=0.8"),
 )
 KINDS = {
-    "linear": (*LINEAR, "eval.minutes=[0.5]", "eval.keep=1"),
+    "linear": (*LINEAR, "eval.minutes=[0.25]", "eval.keep=1"),
     "uncompiled": (*BICYCLE, "compute.native=off", "eval.minutes=[0.1]"),
     "compiled": (*BICYCLE, "eval.minutes=[0.1]"),
     "recorded": (*BICYCLE, "log.transitions=true"),
     "Gymnasium": PENDULUM,
     "planned": PLANNED,
-    "stationary": (*PLANNED, "search.policy=stationary", "search.horizon=3"),
+    "stationary": (*PLANNED, "search.policy=stationary", "search.horizon=0.8"),
     "gradient": (
         *("experiment=pendulum_swingup", "seeds=2", "train.episodes=4", "eval.episodes=5"),
         *("search=gradient", "search/policy=rbf", "search/improver=adam", "search.draws=5"),
@@ -163,12 +164,12 @@ def test_a_larger_budget_gives_the_run_that_had_it_from_the_beginning(
     command: Command, workplace: Path, cut: Path
 ) -> None:
     """Of complete runs as of others, and though the reports of an end are not those of a way."""
-    command("edtorch-train", *LINEAR, "train.seconds=90", "hydra.run.dir=long")
-    command("edtorch-train", *LINEAR, "train.seconds=33.3", "hydra.run.dir=short")
+    command("edtorch-train", *LINEAR, "train.seconds=45", "hydra.run.dir=long")
+    command("edtorch-train", *LINEAR, "train.seconds=17.3", "hydra.run.dir=short")
     for folder in ("short", "cut"):
-        assert command("edtorch-train", f"resume={folder}", "train.seconds=90").status == 0
+        assert command("edtorch-train", f"resume={folder}", "train.seconds=45").status == 0
         assert differences(workplace / "long", workplace / folder) == []
-    assert "train.seconds=5: expected at least the 90 s" in _refused(
+    assert "train.seconds=5: expected at least the 45 s" in _refused(
         command, workplace / "long", "train.seconds=5"
     )
 
@@ -371,13 +372,14 @@ def test_in_python(command: Command, workplace: Path, cut: Path) -> None:
     run = edtorch.load(cut).resume(progress=False)
     assert not run.interrupted and differences(workplace / "whole", cut) == []
     own = ["domain=linear", "domain.dt=0.1", "train.successes=null", "eval.episodes=2"]
+    own += ["compute.native=off", "log.figures=false"]
     learn = partial(edtorch.learn, overrides=own, progress=False)
-    short = learn(seconds=20.0, save=workplace / "short")
-    learn(seconds=50.0, save=workplace / "long")
-    longer = short.resume(seconds=50.0, progress=False)
+    short = learn(seconds=10.0, save=workplace / "short")
+    learn(seconds=20.0, save=workplace / "long")
+    longer = short.resume(seconds=20.0, progress=False)
     assert longer.folder == workplace / "short"
     assert differences(workplace / "long", workplace / "short") == []
-    with pytest.raises(ValueError, match=r"seconds=10: expected at least the 50 s"):
+    with pytest.raises(ValueError, match=r"seconds=10: expected at least the 20 s"):
         longer.resume(seconds=10.0, progress=False)
     with pytest.raises(ValueError, match="save it first"):
         learn(seconds=1.0).resume()
