@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -67,10 +68,13 @@ YAML = "_target_: my_package.cart.Cart\npush: 2.0\n"
 
 def test_own_domain(
     start: Callable[..., subprocess.Popen[str]],
+    command: Callable[..., Any],
     workplace: Path,
     quick: tuple[str, ...],
     patience: float,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Trained in a process that finds it in its path; what else there is to see, in this one."""
     package = workplace / "src" / "my_package"
     package.mkdir(parents=True)
     (package / "__init__.py").touch()
@@ -78,22 +82,21 @@ def test_own_domain(
     (workplace / "my_conf" / "domain").mkdir(parents=True)
     (workplace / "my_conf" / "domain" / "mine.yaml").write_text(YAML)
     arguments = (
-        *("--config-dir", "my_conf", *quick, "domain=mine", "hydra.run.dir=run"),
+        *("--config-dir", "my_conf", *quick, "domain=mine"),
         *("reward=quadratic", "+reward.state.place=1", "+reward.state.speed=1"),
     )
-    path = {"PYTHONPATH": str(workplace / "src")}
-    good = start("edtorch-train", *arguments, **path)
-    bad = start("edtorch-train", *arguments, "domain.push=-1", "hydra.run.dir=bad", **path)
+    source = str(workplace / "src")
+    good = start("edtorch-train", *arguments, "hydra.run.dir=run", PYTHONPATH=source)
     _, err = good.communicate(timeout=patience)
     assert good.returncode == 0, err
     status = json.loads((workplace / "run" / "status.json").read_text())
     assert status["status"] == "done"
-    _, err = bad.communicate(timeout=patience)
-    assert err == "edtorch-train: domain.push=-1.0: expected a number > 0\n"
-    evaluation = start("edtorch-eval", "run=run", "episodes=2", "trust=[my_package]", **path)
-    out, err = evaluation.communicate(timeout=patience)
-    assert evaluation.returncode == 0, err
-    assert "shaping reward, summed over time" in " ".join(out.split())
+    monkeypatch.syspath_prepend(source)
+    bad = command("edtorch-train", *arguments, "domain.push=-1", "hydra.run.dir=bad")
+    assert bad.line == "edtorch-train: domain.push=-1.0: expected a number > 0"
+    evaluation = command("edtorch-eval", "run=run", "episodes=2", "trust=[my_package]")
+    assert evaluation.status == 0, evaluation.err
+    assert "shaping reward, summed over time" in " ".join(evaluation.out.split())
 
 
 def test_rows_that_are_incomplete_are_refused_in_one_line() -> None:
