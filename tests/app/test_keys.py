@@ -20,13 +20,23 @@ from tests.app.test_configs import BESIDE, OPTIONS, RIVALS
 
 
 def _numbers(node: Mapping[str, Any], before: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """The paths of the numbers in nested settings."""
+    """The paths of the numbers in nested settings; of parts of one kind, which go the same way, those
+    of the first."""
+    kinds: set[frozenset[str]] = set()
     for key, value in node.items():
         path = (*before, key)
         if isinstance(value, Mapping):
-            yield from _numbers(value, path)
+            kind = frozenset(value)
+            if kind not in kinds or _are_names(value):
+                yield from _numbers(value, path)
+            kinds.add(kind)
         elif isinstance(value, int | float) and not isinstance(value, bool):
             yield path
+
+
+def _are_names(node: Mapping[str, Any]) -> bool:
+    """Whether the keys are components of a domain, which many settings are given by."""
+    return all(isinstance(value, int | float) for value in node.values())
 
 
 def _bases() -> list[list[str]]:
