@@ -20,8 +20,7 @@ from tests.app.test_configs import BESIDE, OPTIONS, RIVALS
 
 
 def _numbers(node: Mapping[str, Any], before: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """The paths of the numbers in nested settings; of parts of one kind, which go the same way, those
-    of the first."""
+    """The paths of the numbers in nested settings; of parts of one kind, those of the first."""
     kinds: set[frozenset[str]] = set()
     for key, value in node.items():
         path = (*before, key)
