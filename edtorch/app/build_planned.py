@@ -121,6 +121,10 @@ def build_strike(config: Settings, told: Told) -> Strike | None:
     if not given:
         return None
     known_keys("told.strike", given, {"height", "swap", "counter", "jump"})
+    if given.get("counter") is None:
+        raise ConfigError(
+            "told.strike.counter: no value; expected the component that counts strikes"
+        )
     try:
         return Strike.of(
             told,

@@ -49,8 +49,21 @@ class Strike:
 
         height: {angle: length}, the sum of length cos(angle), in any unit; None to learn it.  swap:
         {a: b} of positions, whose rates follow them, and of actions.  counter: a component that
-        counts.  Raises ValueError for unknown names, each of which stands in the message.
+        counts.  Raises ValueError for names that are unknown or given twice, for heights that are
+        all zero, and for a swap after which the height is another one but for its sign.
         """
+        swapped = [name for pair in swap.items() for name in pair]
+        for name in swapped:
+            if swapped.count(name) > 1:
+                raise ValueError(
+                    f"told.strike.swap: {name!r} is given {swapped.count(name)} times; expected"
+                    " each name once, with another one"
+                )
+        if height is not None and not any(height.values()):
+            raise ValueError(
+                f"told.strike.height={dict(height)}: expected lengths that are not all zero, or"
+                " null to learn it"
+            )
         order, actions = np.arange(len(told.names)), np.arange(len(told.actions))
         for pair in swap.items():
             into, names = (
@@ -66,6 +79,18 @@ class Strike:
             if not told.angle[i]:
                 raise ValueError(f"told.strike.height: {name!r} is no angle, expected angles")
             entries[lift.at[i] + 1] = length
+        lengths = np.where(told.angle, entries[lift.at + 1], 0.0)
+        after = lengths[order]
+        if not (np.array_equal(after, lengths) or np.array_equal(after, -lengths)):
+            swapped_height = {
+                name: float(length)
+                for name, length in zip(told.names, after, strict=True)
+                if length
+            }
+            raise ValueError(
+                f"told.strike.swap: makes the height {swapped_height} of {dict(height or {})};"
+                " expected the same but for its sign, for it is zero before and after a strike"
+            )
         counting = -1
         if counter is not None:
             counting = _place("told.strike.counter", counter, told.names)

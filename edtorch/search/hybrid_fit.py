@@ -60,6 +60,12 @@ def learn_hybrid(
     ``[N]`` rows, scaled, of one dt; noise ``[n]``: standard deviations of readings, scaled.  Raises
     FitError where too few ticks are free of events or strikes.
     """
+    struck = strike.happened(transition.state, transition.next_state) & transition.valid
+    if 2 * int(struck.sum()) > int(transition.valid.sum()):
+        raise FitError(
+            f"told.strike.counter: it changes in {int(struck.sum())} of"
+            f" {int(transition.valid.sum())} ticks; expected a component that counts strikes"
+        )
     stops = model.stops or Stops.none(len(model.structure.source))
     free = free_ticks(transition, stops, strike, noise)
     count = int(free.sum())

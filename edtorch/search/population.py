@@ -55,6 +55,25 @@ class RunStage:
     doubt: float
     reading: bool
 
+    def __post_init__(self) -> None:
+        """Reject invalid settings."""
+        for name, least in (("policies", 1), ("long", 1), ("short", 0)):
+            value = getattr(self, name)
+            if value < least:
+                raise ValueError(f"{name}={value}: expected an integer >= {least}")
+        if not 0 <= self.enough <= 1:
+            raise ValueError(f"enough={self.enough}: expected a number in [0, 1], a score")
+        for name in ("short_seconds", "push", "doubt"):
+            value = getattr(self, name)
+            if not value >= 0:
+                raise ValueError(f"{name}={value}: expected a number >= 0")
+        for name in ("seconds", *(["short_seconds"] if self.short else [])):
+            value = getattr(self, name)
+            if not value > 0:
+                raise ValueError(f"{name}={value}: expected a number > 0 (s)")
+        if self.friction is not None and not self.friction > 0:
+            raise ValueError(f"friction={self.friction}: expected a number > 0, or null for any")
+
 
 CHECKED, LASTING = 4, 0.97
 """Times the runs of a generation; the share of them that is to last."""
@@ -118,8 +137,15 @@ class PopulationSearch(TrialLengths):
             value = getattr(self, name)
             if value < 1:
                 raise ValueError(f"{name}={value}: expected an integer >= 1")
-        if not self.cadence > 0:
-            raise ValueError(f"cadence={self.cadence}: expected a number > 0")
+        for name in ("cadence", "narrow"):
+            value = getattr(self, name)
+            if not value > 0:
+                raise ValueError(f"{name}={value}: expected a number > 0")
+        if not self.noise >= 0:
+            raise ValueError(f"noise={self.noise}: expected a number >= 0")
+        for name in ("gait", "optimiser", "rough", "fine", "firm"):
+            if getattr(self, name) is None:
+                raise ValueError(f"{name}=null: expected a part, as in conf/search/population.yaml")
         if (self.forward is None) != (self.up is None):
             raise ValueError(
                 f"forward={self.forward}, up={self.up}: expected names of both or null for both"

@@ -282,6 +282,30 @@ def test_an_unknown_jump_is_refused() -> None:
 @pytest.mark.parametrize(
     ("argument", "words"),
     [
+        ("told.strike.counter=null", "told.strike.counter: no value; expected the component that"),
+        ("told.strike.swap.stance_hip=swing_knee", "told.strike.swap: 'swing_knee' is given 2"),
+        ("search.gait=null", "search.gait=null: expected a part"),
+        ("search.optimiser=null", "search.optimiser=null: expected a part"),
+        ("search.noise=-1", "search.noise=-1.0: expected a number >= 0"),
+        ("search.narrow=0", "search.narrow=0.0: expected a number > 0"),
+        ("search.rough.policies=0", "search.rough.policies=0: expected an integer >= 1"),
+        ("search.rough.long=0", "search.rough.long=0: expected an integer >= 1"),
+        ("search.rough.seconds=-1", "search.rough.seconds=-1.0: expected a number > 0"),
+        ("search.fine.short_seconds=0", "search.fine.short_seconds=0.0: expected a number > 0"),
+        ("search.fine.short=-1", "search.fine.short=-1: expected an integer >= 0"),
+        ("search.fine.enough=7", "search.fine.enough=7.0: expected a number in [0, 1]"),
+        ("search.firm.push=-1", "search.firm.push=-1.0: expected a number >= 0"),
+        ("search.firm.friction=0", "search.firm.friction=0.0: expected a number > 0"),
+    ],
+)
+def test_what_a_walk_cannot_be_searched_for_with_is_refused(argument: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        build_planned(compose(["experiment=walker", argument]))
+
+
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
         ("+search.held.tip=1", "search.held.tip=1.0: expected one of angle, rate"),
         ("search.random_size=2", "search.random_size=2.0: expected a number in (0, 1]"),
         ("search.random_trials=0", "search.random_trials=0: expected an integer >= 1"),

@@ -172,3 +172,10 @@ def test_too_little_free_motion() -> None:
     few = data(60, 5)
     with pytest.raises(FitError, match=r"transitions: \d+ of \d+ are clear of stops and strikes"):
         learned(few)
+
+
+def test_a_counter_that_changes_at_every_tick_is_none() -> None:
+    given = data(200, 3)
+    counting = given.next_state + torch.eye(13).double()[10] * given.state.new_tensor(5.0)
+    with pytest.raises(FitError, match=r"told\.strike\.counter: it changes in \d+ of \d+ ticks"):
+        learned(replace(given, next_state=counting))
