@@ -63,18 +63,18 @@ def same(a: Training, row: int, b: Training, other: int) -> bool:
     ],
 )
 def test_a_population_equals_its_members_bit_for_bit(fit: Fit) -> None:
-    budget = Budget(seconds=12.0)
+    budget = Budget(seconds=7.0)
     together = run(bicycle_training([7 + k for k in range(8)], budget, fit=fit))
-    assert len(together.episodes) > 16
+    assert len(together.episodes) > 8
     for k in (0, 3, 7):
         assert same(run(bicycle_training([7 + k], budget, fit=fit)), 0, together, k)
 
 
 def test_a_population_equals_its_members_while_others_wait() -> None:
     """Learners that used up their episodes wait; nobody's digits change."""
-    budget = Budget(seconds=20.0, episodes=3)
+    budget = Budget(seconds=20.0, episodes=2)
     together = run(bicycle_training([0, 1, 2], budget))
-    assert together.worlds.episodes.tolist() == [3, 3, 3]
+    assert together.worlds.episodes.tolist() == [2, 2, 2]
     assert len(set(together.learners.tick.tolist())) > 1
     for k in range(3):
         assert same(run(bicycle_training([k], budget)), 0, together, k)

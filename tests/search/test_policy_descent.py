@@ -64,7 +64,7 @@ def _residuals(model: TickModel, cost: Cost, policy: Weighted, start: np.ndarray
 def test_the_expansion_is_that_of_the_roll_outs() -> None:
     """Cost, gradient 2 J'r and Hessian 2 J'J of the residuals r that torch differentiates."""
     model, starts = swing_up(), _starts(2)
-    cost, policy = replace(swing_up_cost(model, 12), squash=0.02), _policy(model)
+    cost, policy = replace(swing_up_cost(model, 6), squash=0.02), _policy(model)
     found = [_residuals(model, cost, policy, start) for start in starts]
     value, gradient, hessian = expansion(model, cost, policy, starts)
     rows = torch.cat(found)

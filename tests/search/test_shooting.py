@@ -190,11 +190,11 @@ def _swings_up(plan: Plan) -> bool:
 
 @pytest.mark.experiment
 def test_nearly_every_start_swings_the_pole_up() -> None:
-    """All 12 where this was written; what a search finds may depend on the last digit."""
+    """All 6 where this was written; what a search finds may depend on the last digit."""
     model = swing_up()
     cost = swing_up_cost(model)
-    plans = shoot(model, cost, _waves(model, cost, 12)).plans
-    assert sum(map(_swings_up, plans)) >= 10
+    plans = shoot(model, cost, _waves(model, cost, 6)).plans
+    assert sum(map(_swings_up, plans)) >= 5
 
 
 @pytest.mark.experiment

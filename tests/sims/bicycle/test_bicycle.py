@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from typing import Any
 
 import pytest
@@ -236,8 +234,3 @@ def test_refuses_the_impossible(arguments: dict[str, Any], message: str) -> None
     with pytest.raises(ValueError) as refusal:
         Bicycle(**arguments)
     assert message in str(refusal.value)
-
-
-def test_riding_needs_no_pillow() -> None:
-    code = "import sims.bicycle, sys; sys.exit('PIL' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

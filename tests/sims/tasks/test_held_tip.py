@@ -54,7 +54,9 @@ def test_conforms(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("name", ["pendulum", "cart-double-pendulum"])
+@pytest.mark.parametrize(
+    "name", ["pendulum", pytest.param("cart-double-pendulum", marks=pytest.mark.long)]
+)
 def test_conforms_compiled(name: str) -> None:
     check(TASKS[name](), batches=((5,),), steps=3)
 
