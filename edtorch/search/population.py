@@ -38,11 +38,11 @@ from edtorch.types import Parameters
 
 @dataclass(frozen=True)
 class RunStage:
-    """At most ``policies``, until half of a generation scores ``enough``; each policy is tried from
-    ``long`` starts for ``seconds`` and from ``short`` starts for ``short_seconds``; friction: that
-    the ground is held to have, None for any; push: deviation of noise added to the actions, in
-    parts of half their range; doubt: each start has a model of its own, drawn from the posterior
-    with its deviations times this; reading: whether readings err."""
+    """At most ``policies``, rounded up to whole generations, until half of one scores ``enough``;
+    each policy is tried from ``long`` starts for ``seconds`` and from ``short`` starts for
+    ``short_seconds``; friction: that the ground is held to have, None for any; push: deviation of
+    noise added to the actions, in parts of half their range; doubt: each start has a model of its
+    own, drawn from the posterior with its deviations times this; reading: whether readings err."""
 
     policies: int
     enough: float
