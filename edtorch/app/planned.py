@@ -123,6 +123,25 @@ class PlannedLearners(Work):
             about = self._progress, self.seeds, names, self._episodes
             job.take(trial_entry(number, outcomes, *about, cpu_s))
             job.whole()
+        self._say_what_is_left()
+
+    def _say_what_is_left(self) -> None:
+        """Log why seeds whose task is not solved end before their budget does."""
+        setup, limit = self._setup, self.budget.seconds
+        early = [
+            each
+            for each in self._progress
+            if each.solved is None and not setup.fits(each.trials, each.seconds)
+        ]
+        if limit is None or not early:
+            return
+        most = max(limit - each.seconds for each in early)
+        if most > self._world.dt:
+            logger.info(
+                "%d of %d seeds end with up to %.3g of train.seconds=%g left: another trial may"
+                " take %g s",
+                *(len(early), len(self.seeds), most, limit, setup.longest(early[0].trials)),
+            )
 
     def _acting(self) -> list[int]:
         """Rows that still run trials; all of these have had the same number."""

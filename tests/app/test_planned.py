@@ -261,6 +261,26 @@ def test_a_stop_is_found_and_planned_through(command: Callable[..., Result]) -> 
     assert "told.stops.lower: no transition crosses it; not modelled yet" in result.err
 
 
+@pytest.mark.experiment
+def test_a_budget_that_holds_no_other_trial_is_said(
+    command: Callable[..., Result], workplace: Path
+) -> None:
+    world = ("domain.sim.time_limit=1", "domain.sim.hold_from=0.8", "search.starts=2")
+    told = (*world, "search.draws=10", "train.episodes=null", "+eval.solved.mean_return=1000")
+    result = command(
+        "edtorch-train",
+        "experiment=pendulum_swingup",
+        "train.seconds=1.7",
+        *told,
+        "eval.episodes=2",
+    )
+    assert result.status == 0, result.err
+    expected = (
+        "1 of 1 seeds end with up to 0.7 of train.seconds=1.7 left: another trial may take 1 s"
+    )
+    assert expected in result.out + result.err
+
+
 def test_a_stop_by_an_unknown_action_is_one_line(command: Callable[..., Result]) -> None:
     stop = "told.stops={floor: {of: {angle: 1}, column: push}}"
     result = command("edtorch-train", "experiment=stop_pendulum", stop)
