@@ -127,7 +127,7 @@ class PlannedLearners(Work):
 
     def _say_what_is_left(self) -> None:
         """Log why seeds whose task is not solved end before their budget does."""
-        setup, limit = self._setup, self.budget.seconds
+        setup, limit = self._setup, self._setup.budget.seconds
         early = [
             each
             for each in self._progress

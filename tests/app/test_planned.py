@@ -270,13 +270,13 @@ def test_a_budget_that_holds_no_other_trial_is_said(
     result = command(
         "edtorch-train",
         "experiment=pendulum_swingup",
-        "train.seconds=1.7",
+        *("seeds=2", "train.seconds=1.7"),
         *told,
         "eval.episodes=2",
     )
     assert result.status == 0, result.err
     expected = (
-        "1 of 1 seeds end with up to 0.7 of train.seconds=1.7 left: another trial may take 1 s"
+        "2 of 2 seeds end with up to 0.7 of train.seconds=1.7 left: another trial may take 1 s"
     )
     assert expected in result.out + result.err
 
