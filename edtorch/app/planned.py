@@ -241,6 +241,13 @@ class PlannedLearners(Work):
             own = {name: p[rows] for name, p in self._parameters.items()}
             seeds = [self.seeds[row] for row in rows]
             fresh = self._evaluated(own, seeds, solved.episodes, Purpose.SOLVED)
+        known = [e.success is not None for episodes in fresh for e in episodes]
+        if solved.rate is not None and known and not any(known):
+            logger.warning(
+                "eval.solved.rate=%s: nothing says whether a fresh episode succeeds; expected a"
+                " simulator with Outcome.SUCCEEDED or succeeded(), or eval.success_return",
+                solved.rate,
+            )
         found = []
         for row, trial, about, episodes in zip(rows, trials, figures, fresh, strict=True):
             whole = bool(trial) and all(run.whole for run in trial)

@@ -384,6 +384,16 @@ def test_a_target_out_of_reach_is_said(command: Callable[..., Result]) -> None:
 
 
 @pytest.mark.experiment
+@pytest.mark.parametrize("judge", ["", "eval.success_return=-200"])
+def test_a_rate_that_nothing_tells_is_said(command: Callable[..., Result], judge: str) -> None:
+    """Pendulum-v1 has a return, and no success or failure."""
+    few = ("search.starts=1", "search.restarts=1", "eval.episodes=2", "train.episodes=1")
+    asked = ("eval.solved.rate=0.9", "eval.solved.mean_return=null", *filter(None, [judge]))
+    result = command("edtorch-train", "experiment=gym_pendulum", *few, *asked, "hydra.run.dir=out")
+    assert ("eval.solved.rate=0.9: nothing says whether" in result.out + result.err) != bool(judge)
+
+
+@pytest.mark.experiment
 def test_paths_by_ipopt_are_planned_from() -> None:
     pytest.importorskip("casadi")
     overrides = [*SMALL[1:], "search.starts=0", "search.programmed=1", "train.episodes=2"]
