@@ -252,7 +252,7 @@ def build_planned(config: Settings) -> PlannedSetup:
             package.module()
         except Unavailable as error:
             raise ConfigError(f"search.{setting}: {error}") from error
-    stops = f"stops: {problem.stops.words(problem.scale.numpy())}" if problem.stops else ""
+    stops = f"stops: {problem.stops.words}" if problem.stops else ""
     strike = "what a strike exchanges, and its height" if problem.hybrid else ""
     told = (problem.told.words, stops, strike, search.prior)
     seeds = [config.seed + k for k in range(config.seeds)]

@@ -73,11 +73,12 @@ def find_events(
     near = margin[torch.from_numpy(kept)]
     start, end = found.gaps(data.state), found.gaps(data.next_state)
     beyond = end < -2 * near
-    for k in range(len(found)):
-        if int(beyond[:, k].sum()) > 0:
+    for k, name in enumerate(found.names):
+        if count := int(beyond[:, k].sum()):
+            farthest = float(-end[:, k].min()) * found.unit[k]
             raise FitError(
-                f"told.stops.{found.names[k]}: {int(beyond[:, k].sum())} readings lie beyond it, by"
-                f" up to {float(-end[:, k].min()):.3g} (scaled); is its level right?"
+                f"told.stops.{name}.at={found.physical[k]:g}: {count} of {len(end)} readings lie"
+                f" beyond it, by up to {farthest:.3g}; is the level right?"
             )
     free = ~outlying & (start > near).all(-1) & (end > near).all(-1)
     if int(free.sum()) < 2 * LEAST_ROWS:
@@ -88,7 +89,7 @@ def find_events(
         return Events(found.kept(np.zeros(len(found), bool)), transition.valid, tuple(notes))
     for k, name in enumerate(found.names):
         if np.isnan(stops.level[stops.names.index(name)]):
-            notes.append(f"stop {name} at {found.level[k]:.4g} (scaled)")
+            notes.append(f"told.stops.{name}.at=null: learned at {found.physical[k]:.4g}")
     whole = transition.valid.clone()
     whole[transition.valid] = free
     return Events(found, whole, tuple(notes))

@@ -26,12 +26,13 @@ class Stops:
     derivatives along df/du_column(k), with the sign that opens it, as much as the gap needs to stay
     at zero (``edtorch/search/kernels/stops.py``).
 
-    names: of the stops; normal ``[K, n]``, level ``[K]``, nan where it is to be learned: in the
-    units of the first position that each names, turn ``[K]``: 2 pi in those units where the gap is
-    an angle, else 0; column: int64 ``[K]``.
+    names: of the stops; unit ``[K]``: the scale of the first position that each names; normal
+    ``[K, n]``, level ``[K]``, nan where it is to be learned: in those units; turn ``[K]``: 2 pi in
+    them where the gap is an angle, else 0; column: int64 ``[K]``.
     """
 
     names: tuple[str, ...]
+    unit: np.ndarray
     normal: np.ndarray
     level: np.ndarray
     turn: np.ndarray
@@ -41,7 +42,7 @@ class Stops:
     def none(cls, states: int) -> Stops:
         """No stop at all, of a state of that many components."""
         zero = np.zeros(0)
-        return cls((), np.zeros((0, states)), zero, zero, np.zeros(0, np.int64))
+        return cls((), zero, np.zeros((0, states)), zero, zero, np.zeros(0, np.int64))
 
     @classmethod
     def of(cls, told: Told, given: Mapping[str, object]) -> Stops:
@@ -54,7 +55,8 @@ class Stops:
         count, n = len(given), len(told.names)
         if count > MOST_STOPS:
             raise ValueError(f"told.stops: {count} of them, expected {MOST_STOPS} at most")
-        found = cls(tuple(given), *(np.zeros(shape) for shape in ((count, n), count, count, count)))
+        shapes = (count, (count, n), count, count, count)
+        found = cls(tuple(given), *(np.zeros(shape) for shape in shapes))
         for k, (name, entry) in enumerate(given.items()):
             key = f"told.stops.{name}"
             told_so = dict(entry) if isinstance(entry, Mapping) else {}
@@ -81,7 +83,7 @@ class Stops:
     def kept(self, which: np.ndarray) -> Stops:
         """Some of them, by bool ``[K]``."""
         names = tuple(name for name, kept in zip(self.names, which, strict=True) if kept)
-        parts = (self.normal, self.level, self.turn, self.column)
+        parts = (self.unit, self.normal, self.level, self.turn, self.column)
         return Stops(names, *(part[which] for part in parts))
 
     def by_learned(self, structure: Structure) -> np.ndarray:
@@ -110,13 +112,15 @@ class Stops:
         around = gap - whole * (gap / whole + BEHIND).floor()
         return torch.where(turn > 0, around, gap)
 
-    def words(self, scale: np.ndarray) -> str:
+    @property
+    def physical(self) -> np.ndarray:
+        """``level`` in physical units, as it is told."""
+        return self.level * self.unit
+
+    @property
+    def words(self) -> str:
         """The stops with their levels in physical units, in a cell of a table."""
-        unit = [scale[np.flatnonzero(row)[0]] for row in self.normal]
-        levels = [
-            "learned" if np.isnan(level) else f"{level * by:g}"
-            for level, by in zip(self.level, unit, strict=True)
-        ]
+        levels = ["learned" if np.isnan(level) else f"{level:g}" for level in self.physical]
         return ", ".join(f"{name} {at}" for name, at in zip(self.names, levels, strict=True))
 
 
@@ -137,6 +141,7 @@ def _place(stops: Stops, k: int, key: str, entry: Mapping[str, object], told: To
         if not isinstance(factor, (int, float)) or factor == 0:
             raise ValueError(f"{key}.of.{name}={factor}: expected a number other than 0")
         first = first or told.unit[i]
+        stops.unit[k] = first
         stops.normal[k, i] = factor * told.unit[i] / first
         if told.angle[i] and abs(factor) == 1:
             stops.turn[k] = 2 * np.pi / first

@@ -256,7 +256,7 @@ def test_a_stop_is_found_and_planned_through(command: Callable[..., Result]) -> 
     )
     assert result.status == 0
     assert "stops: lower learned, upper learned" in result.err
-    level = re.search(r"seed 0, after trial 1: stop upper at ([\d.]+)", result.err)
+    level = re.search(r"after trial 1: told.stops.upper.at=null: learned at ([\d.]+)", result.err)
     assert level is not None and float(level[1]) == pytest.approx(2 * np.pi - HIGH, abs=0.02)
     assert "told.stops.lower: no transition crosses it; not modelled yet" in result.err
 

@@ -104,10 +104,31 @@ def test_without_a_hit_there_is_one_mode() -> None:
 
 def test_readings_beyond_a_stop_that_is_told_are_an_error() -> None:
     transition, _ = data(math.pi)
-    with pytest.raises(FitError, match=r"told.stops.upper: \d+ readings lie beyond it, by up to"):
+    with pytest.raises(FitError, match=r"told.stops.upper.at=-3.24159: \d+ of 160 readings lie"):
         find_events(STRUCTURE, stops(None, -(HIGH - 0.3)), transition, FIT)
     found = find_events(STRUCTURE, stops(LOW, -HIGH), transition, FIT)
     assert found.stops.names == ("lower", "upper") and not found.notes
+
+
+def test_messages_are_in_physical_units() -> None:
+    told = replace(TOLD, unit=(2.0, 6.0))
+    lift = Lift.of(told)
+    structure = Structure.of(told, lift, Terms.implicit(told, lift))
+    per_unit = torch.tensor([0.5, 1.0], dtype=torch.float64)
+    transition, _ = data(math.pi)
+    transition = replace(
+        transition, state=transition.state * per_unit, next_state=transition.next_state * per_unit
+    )
+    of = {"of": {"angle": -1.0}, "column": "torque"}
+    found = find_events(structure, Stops.of(told, {"upper": of}), transition, FIT)
+    (level,) = (float(n.split("learned at ")[1]) for n in found.notes)
+    assert found.notes[0].startswith("told.stops.upper.at=null: learned at ")
+    turns = (level + HIGH) / (2 * math.pi)
+    assert 2 * math.pi * (turns - round(turns)) == pytest.approx(0, abs=0.004)
+    with pytest.raises(FitError, match=r"at=-3.24159: .* by up to 0.3\d*; is") as error:
+        wrong = of | {"at": -(HIGH - 0.3)}
+        find_events(structure, Stops.of(told, {"upper": wrong}), transition, FIT)
+    assert "scaled" not in str(error.value)
 
 
 def test_too_few_free_ticks_leave_one_smooth_model() -> None:

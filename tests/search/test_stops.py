@@ -50,7 +50,8 @@ def chain(levels: tuple[float | None, ...] = (0.0, 0.0)) -> TickModel:
     structure = Structure(lift, terms, np.array([2, 3]), source, ratio)
     weight = np.array([[-1.0, -0.5, 0, 1.0, -1.0, 0, 0.25], [-2.0, 0, 0, 0, 1.0, 0.25, 0]])
     normal = np.array([[1.0, 0, 0, 0], [-1.0, 1.0, 0, 0]])
-    stops = Stops(("floor", "each other"), normal, np.array(levels), np.zeros(2), np.array([0, 1]))
+    names, columns = ("floor", "each other"), np.array([0, 1])
+    stops = Stops(names, np.ones(2), normal, np.array(levels), np.zeros(2), columns)
     return TickModel(structure, weight, 0.1, np.zeros(2), np.ones(2), 2, stops)
 
 
