@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class ShapeError(ValueError):
     """A tensor, or what a function returned, has the wrong shape."""
@@ -33,6 +36,15 @@ class NoPlan(ValueError):
 
 class Unavailable(RuntimeError):
     """A package, or what it is to compile, cannot be used here; one line that says why."""
+
+
+@contextmanager
+def within(part: str) -> Iterator[None]:
+    """Turn a part's ``ValueError("width=0: ...")`` into the whole's ``part.width=0: ...``."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{part}.{error}") from error
 
 
 class CovarianceFloored(UserWarning):

@@ -125,7 +125,7 @@ def build_strike(config: Settings, told: Told) -> Strike | None:
         raise ConfigError(
             "told.strike.counter: no value; expected the component that counts strikes"
         )
-    try:
+    with under("told.strike"):
         return Strike.of(
             told,
             Lift.of(told),
@@ -133,8 +133,6 @@ def build_strike(config: Settings, told: Told) -> Strike | None:
             swap=given.get("swap") or {},
             counter=given.get("counter"),
         )
-    except ValueError as error:
-        raise ConfigError(str(error)) from error
 
 
 def _jumps(config: Settings) -> bool:

@@ -55,15 +55,21 @@ _OPTION = re.compile(r"(?!(null|true|false)$)[A-Za-z_][\w./-]*|\[.*\]")
 _SEARCHED = ("Config search path", "provider=", "See http")
 
 
+_ARGUMENT = re.compile(r"\w+(\[[^]]*\]|\.\w+( \w+)?)*=|\w+(\[[^]]*\]|\.\w+)+: ")
+"""How a message that names an argument begins, or an entry of one (of a row: ``cos angle``)."""
+
+
 @contextmanager
 def under(group: str) -> Iterator[None]:
-    """Turn a constructor's ``ValueError("alpha=-1: ...")`` into ``step.alpha=-1: ...``."""
+    """Turn a constructor's ``ValueError("alpha=-1: ...")`` into ``step.alpha=-1: ...``; a message
+    that begins with ``group`` stays as it is."""
     try:
         yield
     except (ValueError, TypeError) as error:
         text = " ".join(str(error).split())
-        names_argument = re.match(r"[\w.]+(\[[^]]*\])?=|\w+(\.\w+)+: ", text) is not None
-        raise ConfigError(f"{group}.{text}" if names_argument else f"{group}: {text}") from error
+        if not text.startswith((f"{group}.", f"{group}=", f"{group}: ")):
+            text = f"{group}.{text}" if _ARGUMENT.match(text) else f"{group}: {text}"
+        raise ConfigError(text) from error
 
 
 def unknown_key(given: str, key: str, known: list[str]) -> str:

@@ -71,9 +71,12 @@ class Stops:
             for j in range(k):
                 opposite = np.allclose(found.normal[j], -found.normal[k])
                 if opposite and found.level[j] + found.level[k] >= 0:
+                    lower, upper = (
+                        f"told.stops.{found.names[i]}.at={found.physical[i]:g}" for i in (j, k)
+                    )
                     raise ValueError(
-                        f"told.stops.{found.names[j]} and told.stops.{found.names[k]} leave no room"
-                        " between them"
+                        f"{lower}, {upper}: no room between these stops, which bound opposite sums;"
+                        " expected levels that add up to a number < 0"
                     )
         return replace(found, column=found.column.astype(np.int64))
 

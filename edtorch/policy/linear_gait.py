@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from edtorch.errors import within
 from edtorch.law import Arrays, Law
 from edtorch.linalg import matvec
 from edtorch.model.told import Told
@@ -65,7 +66,8 @@ class LinearGaitPolicy(VectorPolicy):
         m = len(told.actions)
         self._first = np.zeros((m, len(used))), np.zeros(m)
         if gait.about is not None:
-            gain, constant = _straight(gait.about.policy(told, squash))
+            with within("about"):
+                gain, constant = _straight(gait.about.policy(told, squash))
             self._first = gain[:, used], constant
 
     @property

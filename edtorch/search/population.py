@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from edtorch.errors import NoPlan
+from edtorch.errors import NoPlan, within
 from edtorch.model.event_free import free_ticks
 from edtorch.model.lift import Lift
 from edtorch.model.stops import Stops
@@ -271,7 +271,8 @@ class PopulationSearch(TrialLengths):
         )
 
     def _policy(self, problem: SearchProblem) -> VectorPolicy:
-        return self.gait.policy(problem.told, Squash(problem.middle, problem.half))
+        with within("gait"):
+            return self.gait.policy(problem.told, Squash(problem.middle, problem.half))
 
     def _ends(self, problem: SearchProblem) -> RunEnds:
         lift = Lift.of(problem.told)

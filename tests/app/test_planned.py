@@ -216,7 +216,7 @@ def test_when_a_task_counts_as_solved(
         ),
         (
             ["reward.rows=[{tip: 1}]"],
-            "reward: rows[0].tip=1: expected one of constant, sin angle",
+            "reward.rows[0].tip=1: expected one of constant, sin angle",
         ),
         (["log.transitions=true"], "log.transitions=true"),
         (
@@ -286,6 +286,42 @@ def test_a_stop_by_an_unknown_action_is_one_line(command: Callable[..., Result])
     result = command("edtorch-train", "experiment=stop_pendulum", stop)
     assert result.status != 0
     assert "told.stops.floor.column=push: expected one of torque" in result.line
+
+
+@pytest.mark.parametrize(
+    ("experiment", "override", "begins"),
+    [
+        ("stop_pendulum", "told.stops.lower.column=torq", "told.stops.lower.column=torq: expected"),
+        ("stop_pendulum", "told.stops.lower.of={angel: 1}", "told.stops.lower.of: 'angel' is no"),
+        ("stop_pendulum", "told.ignored=[angel]", "told.ignored='angel': no component"),
+        (
+            "stop_pendulum",
+            "told.stops={a: {of: {angle: 1}, column: torque, at: 1},"
+            " b: {of: {angle: -1}, column: torque, at: 0}}",
+            "told.stops.a.at=1, told.stops.b.at=0: no room between these stops",
+        ),
+        ("walker", "told.strike.counter=foo", "told.strike.counter: 'foo' is unknown"),
+        (
+            "walker",
+            "+search.gait.joints.torso.drives.foo=1",
+            "search.gait.joints.torso.drives.foo: expected names of",
+        ),
+        ("walker", "+search.gait.phase.foo=1", "search.gait.phase.foo: expected positions"),
+        ("walker", "search.always=[{cos foo: 1}]", "search.always[0].cos foo=1.0: expected one of"),
+        (
+            "walker search/gait=linear",
+            "+search.gait.about.phase.foo=1",
+            "search.gait.about.phase.foo: expected positions",
+        ),
+        ("walker", "told.ignored=[]", "model=chain: 'steps' is learned and is no rate"),
+    ],
+)
+def test_messages_begin_with_the_key_as_it_is_typed(
+    experiment: str, override: str, begins: str
+) -> None:
+    with pytest.raises(ConfigError) as error:
+        build_planned(compose([*f"experiment={experiment}".split(), override]))
+    assert str(error.value).startswith(begins)
 
 
 def test_a_strike_is_refused_by_searches_that_do_not_model_it() -> None:

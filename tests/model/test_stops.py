@@ -61,7 +61,7 @@ def test_walls_that_leave_no_room_are_an_error() -> None:
         "lower": {"of": {"angle": 1.0}, "column": "torque", "at": 1.0},
         "upper": {"of": {"angle": -1.0}, "column": "torque", "at": -0.5},
     }
-    with pytest.raises(ValueError, match=r"lower and told\.stops\.upper leave no room between"):
+    with pytest.raises(ValueError, match=r"lower\.at=1, told\.stops\.upper\.at=-0\.5: no room"):
         Stops.of(ROD, walls)
     with pytest.raises(ValueError, match=r"told\.stops: 7 of them, expected 6 at most"):
         Stops.of(ROD, {str(k): walls["lower"] for k in range(7)})
