@@ -30,6 +30,10 @@ class FitError(ValueError):
     """Data from which no model can be fitted."""
 
 
+class Contradicted(ValueError):
+    """What is told cannot be true of the data, whatever is added to them."""
+
+
 class NoPlan(ValueError):
     """No start led to a plan whose numbers are finite."""
 

@@ -16,6 +16,7 @@ from rich.table import Table
 
 from edtorch.app.build_planned import PlannedSetup
 from edtorch.app.domain import described
+from edtorch.app.errors import ConfigError
 from edtorch.app.job import Job, Work
 from edtorch.app.pictures import draw_policy, draw_search
 from edtorch.app.planned_progress import SeedProgress
@@ -27,7 +28,7 @@ from edtorch.app.planned_report import (
     trial_entry,
 )
 from edtorch.app.summary import result_figures, summary_table
-from edtorch.errors import FitError, NonFiniteError, NoPlan
+from edtorch.errors import Contradicted, FitError, NonFiniteError, NoPlan
 from edtorch.native.evaluation import evaluate_policies
 from edtorch.report.statistics import by_row
 from edtorch.run.episodes import Episode, episodes_of, episodes_state, nested_of, nested_state
@@ -222,6 +223,8 @@ class PlannedLearners(Work):
             knowledge = knowledge.with_trial(run.readings, run.actions, run.valid)
         try:
             found = setup.search.improve(setup.problem, knowledge, setup.seeds[row], number + 1)
+        except Contradicted as error:
+            raise ConfigError(str(error)) from error
         except (FitError, NonFiniteError, NoPlan) as error:
             # The trial is kept, and so is the policy of before.
             found = Improvement({}, knowledge, {}, (f"no better policy: {error}",))

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from edtorch.errors import FitError
+from edtorch.errors import Contradicted, FitError
 from edtorch.model.evidence import Posterior
 from edtorch.model.mechanism import Structure, accelerations, runge_kutta
 from edtorch.model.path_fit import LEAST_ROWS, usable
@@ -29,6 +29,8 @@ _ROUNDS = 4
 """Of trimming."""
 _MARGIN = 4.0
 """Standard deviations of readings within which a position is at a stop."""
+_FEW = 0.1
+"""Share of the readings from which those beyond a told level are no outliers."""
 _NORMAL = 1.483
 """Standard deviation over the median of |x|, of a normal distribution."""
 
@@ -53,7 +55,7 @@ def find_events(
 
     Without a free tick more than ``LEAST_ROWS``, all valid ones count as free and there are no
     stops, which the notes say.  Raises FitError where readings lie beyond a stop whose level is
-    told, and what ``fit`` raises.
+    told, Contradicted where these are more than a few, and what ``fit`` raises.
     """
     data = usable(transition)
     weight, outlying, error = _trimmed(structure, data, fit)
@@ -76,7 +78,8 @@ def find_events(
     for k, name in enumerate(found.names):
         if count := int(beyond[:, k].sum()):
             farthest = float(-end[:, k].min()) * found.unit[k]
-            raise FitError(
+            kind = Contradicted if count >= _FEW * len(end) else FitError
+            raise kind(
                 f"told.stops.{name}.at={found.physical[k]:g}: {count} of {len(end)} readings lie"
                 f" beyond it, by up to {farthest:.3g}; is the level right?"
             )

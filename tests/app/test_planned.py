@@ -281,6 +281,15 @@ def test_a_budget_that_holds_no_other_trial_is_said(
     assert expected in result.out + result.err
 
 
+def test_a_level_that_readings_contradict_is_an_error(command: Callable[..., Result]) -> None:
+    result = command(
+        "edtorch-train", "experiment=stop_pendulum", "seeds=1", "told.stops.lower.at=3.3"
+    )
+    assert result.status == 1
+    line = result.err.splitlines()[-1]
+    assert re.search(r"told\.stops\.lower\.at=3\.3: \d+ of 80 readings lie beyond it, by", line)
+
+
 def test_a_stop_by_an_unknown_action_is_one_line(command: Callable[..., Result]) -> None:
     stop = "told.stops={floor: {of: {angle: 1}, column: push}}"
     result = command("edtorch-train", "experiment=stop_pendulum", stop)

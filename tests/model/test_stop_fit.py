@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from edtorch.errors import FitError
+from edtorch.errors import Contradicted, FitError
 from edtorch.model.lift import Lift
 from edtorch.model.mechanism import Structure, accelerations
 from edtorch.model.path_fit import fit_paths
@@ -104,8 +104,13 @@ def test_without_a_hit_there_is_one_mode() -> None:
 
 def test_readings_beyond_a_stop_that_is_told_are_an_error() -> None:
     transition, _ = data(math.pi)
-    with pytest.raises(FitError, match=r"told.stops.upper.at=-3.24159: \d+ of 160 readings lie"):
+    with pytest.raises(Contradicted, match=r"told.stops.upper.at=-3.24159: \d+ of 160 readings"):
         find_events(STRUCTURE, stops(None, -(HIGH - 0.3)), transition, FIT)
+    outlier = transition.next_state.clone()
+    outlier[80, 0] = HIGH + 0.3
+    with pytest.raises(FitError, match=r"at=-3.54159: 1 of 160 readings lie"):
+        one = replace(transition, next_state=outlier)
+        find_events(STRUCTURE, stops(None, -HIGH), one, FIT)
     found = find_events(STRUCTURE, stops(LOW, -HIGH), transition, FIT)
     assert found.stops.names == ("lower", "upper") and not found.notes
 
@@ -125,7 +130,7 @@ def test_messages_are_in_physical_units() -> None:
     assert found.notes[0].startswith("told.stops.upper.at=null: learned at ")
     turns = (level + HIGH) / (2 * math.pi)
     assert 2 * math.pi * (turns - round(turns)) == pytest.approx(0, abs=0.004)
-    with pytest.raises(FitError, match=r"at=-3.24159: .* by up to 0.3\d*; is") as error:
+    with pytest.raises(Contradicted, match=r"at=-3.24159: .* by up to 0.3\d*; is") as error:
         wrong = of | {"at": -(HIGH - 0.3)}
         find_events(structure, Stops.of(told, {"upper": wrong}), transition, FIT)
     assert "scaled" not in str(error.value)
