@@ -43,6 +43,13 @@ def planned(config: Settings) -> tuple[list[int], Begin]:
     """The seeds, and what begins the work that the configuration asks for.  Raises ConfigError."""
     at_least("log.checkpoint_wall", config.log.checkpoint_wall, 0)
     at_least("log.checkpoints", config.log.checkpoints, 1)
+    for key in ("stops", "strike"):
+        if config.told[key] and not is_planned(config):
+            logger.warning(
+                "told.%s: not used; only a search between trials models it (search=planned,"
+                " search=population)",
+                key,
+            )
     if is_offline(config):
         offline = build_offline(config)
         return offline.setup.seeds, lambda folder: RecordedLearners(offline, config)

@@ -19,6 +19,7 @@ from edtorch.app.build_planned import build_planned
 from edtorch.app.compose import compose
 from edtorch.app.errors import ConfigError
 from edtorch.app.solved import Solved
+from edtorch.app.work import planned
 from sims.tasks.cart_pole import CartPole
 from sims.tasks.stop_pendulum import HIGH
 from tests.app.conftest import Result
@@ -331,6 +332,15 @@ def test_messages_begin_with_the_key_as_it_is_typed(
     with pytest.raises(ConfigError) as error:
         build_planned(compose([*f"experiment={experiment}".split(), override]))
     assert str(error.value).startswith(begins)
+
+
+def test_stops_that_a_learner_does_not_use_are_said(caplog: pytest.LogCaptureFixture) -> None:
+    stop = "told.stops={floor: {of: {lean: 1}, column: torque}}"
+    for told, said in (([stop], ["told.stops: not used"]), ([], [])):
+        caplog.clear()
+        with caplog.at_level("WARNING", "edtorch"):
+            planned(compose(["experiment=bicycle", *told]))
+        assert [message[:20] for message in caplog.messages] == said
 
 
 def test_a_strike_is_refused_by_searches_that_do_not_model_it() -> None:
