@@ -21,7 +21,7 @@ class GaussNewton:
         """See ``Improver``."""
         if policy.linear_terms is None:
             raise ValueError(
-                f"improver: GaussNewton cannot improve a {policy.label}; expected"
+                f"search.improver: GaussNewton cannot improve a {policy.label}; expected"
                 " search/policy=monomials with it, or search/improver=adam"
             )
 

@@ -80,7 +80,7 @@ class GradientSearch(RandomFirst):
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """See ``TrialSearch``.  ValueError for a reward with a reference, which no stationary
         policy follows."""
-        problem.check_constant("gradient")
+        problem.check_constant("search=gradient")
         self._ticks(problem)
         policy = self._policy(problem)
         self.improver.check(policy)

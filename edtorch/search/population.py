@@ -180,7 +180,7 @@ class PopulationSearch(TrialLengths):
     def actor(self, problem: SearchProblem) -> tuple[Policy, EpisodeMemory | None]:
         """See ``TrialSearch``.  ValueError for a task without strikes, and for unknown names."""
         if problem.hybrid is None:
-            raise ValueError("population: expected a strike that is told (told.strike)")
+            raise ValueError("search=population: expected a strike that is told (told.strike)")
         self._ends(problem)
         self._forces(problem)
         return self._policy(problem), None

@@ -49,8 +49,8 @@ class RegulatedSearch(RandomFirst):
         """See ``TrialSearch``: one local linear policy.  ValueError for unknown names held, for
         actions that cost nothing, and for a reward with a reference."""
         self._target(problem)
-        problem.check_constant("regulated")
-        problem.check_prices("regulated")
+        problem.check_constant("search=regulated")
+        problem.check_prices("search=regulated")
         squash = Squash(problem.middle, problem.half)
         return KnotPolicy(1, squash, problem.period, torch.ones_like(problem.period)), None
 

@@ -38,8 +38,8 @@ class Stationary:
 
     def actor(self, problem: SearchProblem, ticks: int) -> tuple[Policy, EpisodeMemory | None]:
         """See ``Execution``."""
-        problem.check_constant("policy=stationary")
-        problem.check_prices("policy=stationary")
+        problem.check_constant("search.policy=stationary")
+        problem.check_prices("search.policy=stationary")
         squash, metric = Squash(problem.middle, problem.half), _metric(problem)
         policy = KnotPolicy(ticks + 1, squash, problem.period, metric, self.width)
         return policy, None
