@@ -208,8 +208,7 @@ def _plan(policy: Any, parameters: Parameters, world: World) -> KernelPlan:
     plan = begun(world)
     known = {"weight", "limit"}
     if isinstance(policy, VectorPolicy):
-        plan.constants["N"] = len(world.spec.state)
-        add_vector(plan, policy, len(world.spec.action))
+        add_vector(plan, policy, len(world.spec.state), len(world.spec.action))
         known = set(policy.shapes)
     else:
         add_policy(plan, policy)

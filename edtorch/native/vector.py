@@ -13,11 +13,11 @@ _RAW = Path(edtorch.search.kernels.__file__).parent
 _ACTS = Path(__file__).parent / "kernels" / "vector.py"
 
 
-def add_vector(plan: KernelPlan, policy: VectorPolicy, actions: int) -> None:
+def add_vector(plan: KernelPlan, policy: VectorPolicy, states: int, actions: int) -> None:
     """Its sizes, numbers and text, and the function that acts by it."""
     squash, arrays = policy.squash, policy.arrays
     plan.chosen["acts"] = "act_by_vector"
-    plan.constants |= {"M": actions, "OWN": policy.size}
+    plan.constants |= {"N": states, "M": actions, "OWN": policy.size}
     plan.numbers |= {f"FORM_{i}": array for i, array in enumerate(arrays)}
     plan.numbers |= {"SQUASH_MIDDLE": squash.middle, "SQUASH_HALF": squash.half}
     parts = [

@@ -40,7 +40,7 @@ class CentralDifferences:
 
 
 class DifferenceSteps:
-    """Steps that have begun."""
+    """Adam's steps from ``middle`` ``[p]``, in units of ``unit`` ``[p]``."""
 
     def __init__(self, middle: np.ndarray, unit: np.ndarray, width: float, rate: float) -> None:
         self._middle, self._unit, self._width = middle, unit, width

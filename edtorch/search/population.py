@@ -92,9 +92,9 @@ class PopulationSearch(TrialLengths):
     it made fewer: a gait with quick steps that soon falls is not better than one that lasts.  A
     policy scores the mean of its runs and half the worst, 1 at most.
 
-    A population of the kind ``optimiser`` goes through the stages ``rough``, ``fine`` and ``firm``,
-    with other starts and noise in every generation.  Its mean is the policy: where its neighbours
-    walk, too, it may walk in a world that differs from the model.  It begins at the last policy,
+    ``optimiser`` moves a population through the stages ``rough``, ``fine`` and ``firm``, with other
+    starts and noise in every generation.  Its mean is the policy: where its neighbours walk, too,
+    it may walk in a world that differs from the model.  It begins at the last policy,
     with the gait's deviations times ``narrow``, or at the gait as it is told.  Where it does not
     pass ``rough``, or too many runs of ``fine`` with its mean end early, another one begins at the
     gait as it is told, ``attempts`` at most; the best mean is taken.

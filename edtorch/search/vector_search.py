@@ -14,21 +14,21 @@ VectorCost = Callable[[np.ndarray], np.ndarray]
 
 
 class BegunSearch(Protocol):
-    """A search on its way."""
+    """A search that has begun."""
 
     @property
     def mean(self) -> np.ndarray:
-        """Where it is, ``[p]``."""
+        """The vector that it has reached, ``[p]``."""
         ...
 
     def improve(self, cost: VectorCost) -> np.ndarray:
-        """Go on by vectors about the mean, and return their costs ``[C]``; the cost may be another
-        one each time.  Raises NoPlan where none is finite."""
+        """Try vectors about the mean, move the mean, and return the costs ``[C]`` of the vectors;
+        the cost may differ from call to call.  Raises NoPlan where none is finite."""
         ...
 
 
 class VectorSearch(Protocol):
-    """Its settings; package: that it needs, None for none."""
+    """The settings of a search; package: the one that it needs, or None."""
 
     package: ClassVar[Package | None]
 

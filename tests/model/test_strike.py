@@ -1,4 +1,4 @@
-"""What is told of a strike: what contradicts itself is an error that names it."""
+"""A strike from its settings: contradictory ones raise an error that names them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SWAP = {f"stance_{part}": f"swing_{part}" for part in ("shank", "thigh", "knee",
 
 
 def strike(height: dict[str, float] | None = None, **swap: str | None) -> Strike:
-    """That of the walker with some names changed; None: left out."""
+    """The walker's strike with some pairs of the swap replaced; None leaves a pair out."""
     pairs = {a: b for a, b in (SWAP | swap).items() if b is not None}
     given = HEIGHT if height is None else height
     return Strike.of(TOLD, Lift.of(TOLD), height=given, swap=pairs, counter="steps")
@@ -60,6 +60,6 @@ def test_the_height_changes_its_sign_where_legs_change_places() -> None:
         ),
     ],
 )
-def test_what_contradicts_itself_is_rejected(given: dict[str, Any], words: str) -> None:
+def test_contradictory_settings_are_rejected(given: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         strike(**given)
